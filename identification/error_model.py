@@ -1,0 +1,350 @@
+"""The full-parameter error model: CasADi, walked once from the closed chain that the Pinocchio model gave.
+
+Every joint placement (6 numbers), both frames of every loop (3 each for a point loop, 6 for a frame loop), every
+actuator's zero and gain, and both measurement frames may be wrong. Predicted = W * tool pose * T, with W (base to
+instrument, `instrument`) and T (tool to target, `target`). Passive joints follow from phi(q_active, q_passive, p) = 0, so
+
+    d q_passive / d p = -(d phi / d q_passive)^-1 (d phi / d p)      (Huang et al. 2019, Mech. Mach. Theory 131)
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import lru_cache
+
+import casadi as ca
+import numpy as np
+
+from identification.measurements import Measurements
+from urdf.closed_chain import BASE, ClosedChain
+from urdf.description import Actuator, Tolerance
+from urdf.errors import InputError
+from urdf.kinematics import Closure, forward
+from urdf.rigid_motion import Motion, exp, right_jacobian
+
+_COORDINATES = ("x", "y", "z", "rx", "ry", "rz")
+FRAMES = ("instrument", "target")  # W and T
+
+
+@dataclass(frozen=True)
+class Parameters:
+    """The names of p, its order, its units, its nominal values and its priors: arrays of n_parameters.
+
+    p holds changes from nominal. A placement's position is nominal + change in its parent joint's frame [m]; its
+    orientation is nominal * exp(rotation vector in its own frame [rad]), so the nominal of a rotation is 0.
+    """
+
+    names: tuple[str, ...]
+    units: tuple[str, ...]
+    nominal: np.ndarray
+    tolerance: np.ndarray  # one sigma; infinite for W and T, whose priors are flat
+
+    @property
+    def flat(self) -> np.ndarray:
+        return ~np.isfinite(self.tolerance)
+
+    def __len__(self) -> int:
+        return len(self.names)
+
+
+@dataclass(frozen=True)
+class BuiltRobot:
+    """A robot with given parameters: what it is, not how it was found."""
+
+    chain: ClosedChain
+    gain: np.ndarray  # (n_actuated,)
+    zero: np.ndarray
+    instrument: Motion  # W
+    target: Motion  # T
+
+    def joints(self, readings: np.ndarray) -> np.ndarray:
+        """Actuated joint values (n, n_actuated) [rad or m] of readings in the actuators' own units."""
+        return self.zero + self.gain * readings
+
+    def readings(self, joints: np.ndarray) -> np.ndarray:
+        """The inverse of `joints`."""
+        return (joints - self.zero) / self.gain
+
+    def close(self, readings: np.ndarray, start: np.ndarray | None = None) -> Closure:
+        return forward(self.chain, self.joints(readings), start)
+
+    def measured(self, tool: Motion) -> Motion:
+        """A tool pose as the instrument sees it: W * tool pose * T."""
+        return self.instrument @ tool @ self.target
+
+
+@dataclass(frozen=True)
+class Linearisation:
+    """Whitened residuals (rows,) and their Jacobian (rows, n_parameters) at one parameter vector."""
+
+    residual: np.ndarray
+    jacobian: np.ndarray
+    q: np.ndarray  # (n, n_joints) the closed configurations
+
+
+@dataclass(frozen=True)
+class ErrorModel:
+    """Residuals of measurements and their exact derivatives, for any robot and any mix of channels."""
+
+    chain: ClosedChain
+    gain: np.ndarray
+    zero: np.ndarray
+    parameters: Parameters
+    _functions: dict = field(default_factory=dict, repr=False, compare=False)
+
+    @staticmethod
+    def of(chain: ClosedChain, actuators: Mapping[str, Actuator], tolerance: Tolerance) -> ErrorModel:
+        nominal = [actuators.get(name, Actuator()) for name in chain.actuated_names]
+        gain, zero = np.array([a.gain for a in nominal]), np.array([a.zero for a in nominal])
+        return ErrorModel(chain, gain, zero, _parameters(chain, gain, zero, tolerance))
+
+    def robot(self, p: np.ndarray) -> BuiltRobot:
+        """The robot with parameter changes p: (n_parameters,)."""
+        xi, zero, gain, frames = self._split(p)
+        chain = self.chain
+        moved = chain.with_geometry(chain.rotation @ exp(xi[:, 3:]), chain.translation + xi[:, :3])
+        return BuiltRobot(moved, self.gain + gain, self.zero + zero, *(Motion.from_vector(v) for v in frames))
+
+    def with_frames(self, p: np.ndarray, instrument: Motion, target: Motion) -> np.ndarray:
+        """p with W and T replaced."""
+        return np.concatenate([p[:-12], instrument.vector(), target.vector()])
+
+    def residual(self, robot: BuiltRobot, q: np.ndarray, measured: Measurements) -> np.ndarray:
+        """Whitened residuals, predicted less measured: (n, rows a pose)."""
+        return self._function(measured, "residual")(robot, q, measured)[0]
+
+    def linearise(self, p: np.ndarray, measured: Measurements, start: np.ndarray | None = None) -> Linearisation | None:
+        """Close the loops at p and differentiate through the closure; None where they can't be closed.
+
+        start: (n, n_joints) configurations near by.
+        """
+        robot = self.robot(p)
+        closure = robot.close(measured.readings, start)
+        if not closure.closed.all():
+            return None
+        residual, jacobian = self._derivatives(robot, p, closure.q, measured)
+        return Linearisation(residual.ravel(), jacobian.reshape(-1, len(p)), closure.q)
+
+    def pose_jacobian(self, p: np.ndarray, readings: np.ndarray, q: np.ndarray) -> np.ndarray:
+        """(n, 6, n_parameters): d(rotation in the target frame [rad], position [m]) / dp of predicted poses."""
+        robot = self.robot(p)
+        pose = robot.measured(forward(robot.chain, robot.joints(readings), q).pose)
+        ones = np.ones(len(readings))
+        itself = Measurements(np.arange(len(ones)), readings, pose.rotation, pose.translation,
+                              orientation_std=ones, position_std=ones)  # fmt: skip
+        return self._derivatives(robot, p, q, itself)[1]
+
+    def _derivatives(self, robot: BuiltRobot, p: np.ndarray, q: np.ndarray, measured: Measurements):
+        residual, r_q, r_x, phi_q, phi_x = self._function(measured, "derivatives")(robot, q, measured)
+        chain = self.chain
+        if chain.n_equations:
+            passive = chain.passive
+            adjoint = np.linalg.solve(phi_q[:, :, passive].swapaxes(1, 2), r_q[:, :, passive].swapaxes(1, 2)).swapaxes(1, 2)
+            r_q = r_q[:, :, chain.actuated] - adjoint @ phi_q[:, :, chain.actuated]
+            r_x = r_x - adjoint @ phi_x
+        else:
+            r_q = r_q[:, :, chain.actuated]
+        n_bodies = len(chain.rotation)
+        r_x = _chain_rotations(r_x, p, self._split(p))
+        bodies = r_x[:, :, : 6 * n_bodies][:, :, _kept(chain)]
+        return residual, np.concatenate([bodies, r_q, r_q * measured.readings[:, None, :], r_x[:, :, 6 * n_bodies :]], axis=2)
+
+    def _split(self, p: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, tuple[np.ndarray, np.ndarray]]:
+        """Placement changes (n_bodies, 6), zeros, gains, and the vectors of W and T."""
+        kept, n = _kept(self.chain), len(self.gain)
+        xi = np.zeros(6 * len(self.chain.rotation))
+        xi[kept] = p[: len(kept)]
+        zero, gain, frames = np.split(p[len(kept) :], [n, 2 * n])
+        return xi.reshape(-1, 6), zero, gain, (frames[:6], frames[6:])
+
+    def _function(self, measured: Measurements, what: str) -> _Batched:
+        key = (measured.channels, what)
+        if key not in self._functions:
+            self._functions[key] = _Batched(self.chain, measured.channels, what == "derivatives")
+        return self._functions[key]
+
+
+def _kept(chain: ClosedChain) -> np.ndarray:
+    """Of 6 numbers a body, those that are parameters: a point loop's frames have no orientation."""
+    keep = np.ones((len(chain.rotation), 6), dtype=bool)
+    for loop in chain.loops:
+        if loop.kind == "point":
+            keep[list(loop.bodies), 3:] = False
+    return np.flatnonzero(keep)
+
+
+def _parameters(chain: ClosedChain, gain: np.ndarray, zero: np.ndarray, tolerance: Tolerance) -> Parameters:
+    kept = _kept(chain)
+    position, rotation = tolerance.position_mm * 1e-3, np.deg2rad(tolerance.rotation_deg)
+    names = [f"{chain.body_names[k // 6]}.{_COORDINATES[k % 6]}" for k in kept]
+    units = ["m" if k % 6 < 3 else "rad" for k in kept]
+    nominal = np.concatenate([chain.translation, np.zeros((len(chain.translation), 3))], axis=1).ravel()[kept]
+    sigma = np.where(kept % 6 < 3, position, rotation)
+    joint_units = ["m" if chain.prismatic[j] else "rad" for j in chain.actuated]
+    names += [f"{a}.zero" for a in chain.actuated_names] + [f"{a}.gain" for a in chain.actuated_names]
+    units += joint_units + [f"{u}/reading" for u in joint_units]
+    zero_mm, zero_deg = tolerance.actuator_zero_mm * 1e-3, np.deg2rad(tolerance.actuator_zero_deg)
+    sigma_zero = np.where(chain.prismatic[chain.actuated], zero_mm, zero_deg)
+    names += [f"{frame}.{c}" for frame in FRAMES for c in _COORDINATES]
+    units += ["m", "m", "m", "rad", "rad", "rad"] * 2
+    return Parameters(
+        tuple(names),
+        tuple(units),
+        np.concatenate([nominal, zero, gain, np.zeros(12)]),
+        np.concatenate([sigma, sigma_zero, tolerance.actuator_gain * np.abs(gain), np.full(12, np.inf)]),
+    )
+
+
+def _chain_rotations(r_x: np.ndarray, p: np.ndarray, split) -> np.ndarray:
+    """From small rotations at the current orientation to changes of the rotation vectors in p."""
+    xi, _, _, frames = split
+    vectors = np.concatenate([xi, np.stack(frames)])[:, 3:]
+    blocks = r_x.reshape(*r_x.shape[:2], -1, 6).copy()
+    blocks[..., 3:] = np.einsum("nrbi,bij->nrbj", blocks[..., 3:], right_jacobian(vectors))
+    return blocks.reshape(r_x.shape)
+
+
+class _Batched:
+    """One CasADi function for all poses: residuals, and on demand their derivatives, as dense arrays."""
+
+    def __init__(self, chain: ClosedChain, channels: tuple[str, ...], derivatives: bool) -> None:
+        self._function = _symbolic(chain, channels, derivatives)
+        self._mapped = lru_cache(maxsize=4)(self._map)
+        self._channels = channels
+
+    def _map(self, n: int) -> ca.Function:
+        return self._function.map(f"poses{n}", "serial", n, [1], [])
+
+    def __call__(self, robot: BuiltRobot, q: np.ndarray, measured: Measurements) -> list[np.ndarray]:
+        n = len(q)
+        function = self._mapped(n)
+        buffer, run = function.buffer()
+        constants = np.concatenate([_pack(robot.chain.rotation, robot.chain.translation),
+                                    *(_pack(m.rotation, m.translation) for m in (robot.instrument, robot.target))])  # fmt: skip
+        inputs = [np.ascontiguousarray(q, dtype=float), constants, _observations(measured)]
+        for k, value in enumerate(inputs):
+            buffer.set_arg(k, memoryview(value))
+        outputs = []
+        for k in range(self._function.n_out()):
+            outputs.append(np.zeros((n, self._function.nnz_out(k))))
+            buffer.set_res(k, memoryview(outputs[-1]))
+        run()
+        return [self._dense(k, values) for k, values in enumerate(outputs)]
+
+    def _dense(self, k: int, values: np.ndarray) -> np.ndarray:
+        sparsity = self._function.sparsity_out(k)
+        rows, columns = sparsity.shape
+        dense = np.zeros((len(values), rows * columns))
+        row, column = sparsity.get_triplet()
+        dense[:, np.array(row, dtype=int) * columns + np.array(column, dtype=int)] = values
+        return dense if columns == 1 else dense.reshape(len(values), rows, columns)
+
+
+def _pack(rotation: np.ndarray, translation: np.ndarray) -> np.ndarray:
+    """Placements as one vector: 9 numbers column by column, then 3."""
+    rotation, translation = np.atleast_3d(rotation).reshape(-1, 3, 3), np.atleast_2d(translation)
+    return np.concatenate([rotation.swapaxes(1, 2).reshape(-1, 9), translation], axis=1).ravel()
+
+
+def _observations(measured: Measurements) -> np.ndarray:
+    """(n, columns): each channel's measured values and its sigma, in the order of `channels`."""
+    columns = []
+    for channel in measured.channels:
+        values = getattr(measured, channel)
+        values = values.swapaxes(1, 2) if channel == "orientation" else values
+        columns += [values.reshape(len(measured), -1), getattr(measured, f"{channel}_std")[:, None]]
+    return np.ascontiguousarray(np.concatenate(columns, axis=1), dtype=float)
+
+
+def _symbolic(chain: ClosedChain, channels: tuple[str, ...], derivatives: bool) -> ca.Function:
+    """The chain walked once: residuals of one pose, phi, and their derivatives by joints and by small errors."""
+    n_bodies = len(chain.rotation)
+    q, constants = ca.SX.sym("q", chain.n_joints), ca.SX.sym("placements", 12 * (n_bodies + 2))
+    xi = ca.SX.sym("errors", 6 * (n_bodies + 2))
+    placed = []
+    for k in range(n_bodies + 2):
+        numbers, error = constants[12 * k : 12 * k + 12], xi[6 * k : 6 * k + 6]
+        turned = ca.reshape(numbers[:9], 3, 3) @ (ca.SX.eye(3) + ca.skew(error[3:]))
+        placed.append((turned, numbers[9:] + error[:3]))
+    frames: dict[int, tuple[ca.SX, ca.SX]] = {BASE: (ca.SX.eye(3), ca.SX.zeros(3))}
+    for j, parent in enumerate(chain.parents):
+        rotation, translation = _after(frames[parent], placed[j])
+        axis = ca.DM(chain.axes[j])
+        if chain.prismatic[j]:
+            translation = translation + rotation @ axis * q[j]
+        else:
+            turn = ca.skew(axis)
+            rotation = rotation @ (ca.DM.eye(3) + ca.sin(q[j]) * turn + (1 - ca.cos(q[j])) * (turn @ turn))
+        frames[j] = (rotation, translation)
+    phi = _loop_equations(chain, frames, placed)
+    base = chain.base.inverse()
+    tool = _after((ca.DM(base.rotation), ca.DM(base.translation)), frames[chain.tool_joint])
+    tool = _after(tool, (ca.DM(chain.tool.rotation), ca.DM(chain.tool.translation)))
+    rotation, translation = _after(_after(placed[-2], tool), placed[-1])
+    residual, observed = _residual(channels, rotation, translation)
+    outputs = [residual]
+    if derivatives:
+        outputs += [ca.jacobian(residual, q), ca.jacobian(residual, xi), ca.jacobian(phi, q), ca.jacobian(phi, xi[: 6 * n_bodies])]
+        # W and T move no loop: their columns of d phi / d xi are zero, and stay so
+        outputs[-1] = ca.horzcat(outputs[-1], ca.SX(phi.shape[0], 12))
+    outputs = ca.substitute(outputs, [xi], [ca.SX.zeros(xi.shape)])
+    return ca.Function("error_model", [q, constants, observed], outputs)
+
+
+def _after(first: tuple, second: tuple) -> tuple:
+    return first[0] @ second[0], first[0] @ second[1] + first[1]
+
+
+def _loop_equations(chain: ClosedChain, frames: Mapping[int, tuple[ca.SX, ca.SX]], placed: list) -> ca.SX:
+    equations = [ca.SX.zeros(0, 1)]
+    for loop in chain.loops:
+        first, second = (_after(frames[j], placed[b]) for j, b in zip(loop.joints, loop.bodies, strict=True))
+        equations.append(second[1] - first[1])
+        if loop.kind == "frame":
+            equations.append(ca.inv_skew(first[0].T @ second[0]))
+    return ca.vertcat(*equations)
+
+
+def _residual(channels: tuple[str, ...], rotation: ca.SX, translation: ca.SX) -> tuple[ca.SX, ca.SX]:
+    """Whitened residuals of one pose (predicted less measured), and the symbols of what was measured."""
+    sizes = {"orientation": 9, "tilt": 2, "yaw": 1, "position": 3}
+    rows, symbols = [], []
+    for channel in channels:
+        value, sigma = ca.SX.sym(channel, sizes[channel]), ca.SX.sym(f"{channel}_std")
+        if channel == "orientation":  # rotation vector from measured to predicted, in the measured target's frame
+            row = _rotation_vector(ca.reshape(value, 3, 3).T @ rotation)
+        elif channel == "position":
+            row = translation - value
+        elif channel == "tilt":  # of R = Rz(yaw) Ry(pitch) Rx(roll)
+            roll = ca.atan2(rotation[2, 1], rotation[2, 2])
+            pitch = -ca.atan2(rotation[2, 0], ca.sqrt(rotation[2, 1] ** 2 + rotation[2, 2] ** 2))
+            row = ca.vertcat(_wrapped(roll - value[0]), _wrapped(pitch - value[1]))
+        else:
+            row = _wrapped(ca.atan2(rotation[1, 0], rotation[0, 0]) - value)
+        rows.append(row / sigma)
+        symbols += [value, sigma]
+    return ca.vertcat(*rows), ca.vertcat(*symbols)
+
+
+def _wrapped(angle: ca.SX) -> ca.SX:
+    return ca.atan2(ca.sin(angle), ca.cos(angle))
+
+
+def _rotation_vector(rotation: ca.SX) -> ca.SX:
+    """log of a rotation matrix, differentiable also at the identity (Taylor there); regular below 180 degrees."""
+    sine = ca.inv_skew(rotation)
+    square = ca.sumsqr(sine)
+    small = ca.logic_and(square < 1e-10, ca.trace(rotation) > 0)
+    length = ca.sqrt(ca.if_else(small, 1.0, square))
+    angle = ca.atan2(length, (ca.trace(rotation) - 1) / 2)
+    # near the identity: asin(s) / s = 1 + s^2 / 6 + ..
+    return sine * ca.if_else(small, 1 + square / 6, angle / length)
+
+
+def require_closed(closure: Closure, measured: Measurements) -> Closure:
+    """InputError that names the pose whose loops can't be closed at its joint values."""
+    try:
+        return closure.require(lambda row: f"measured pose {measured.pose[row]}")
+    except InputError as error:
+        raise InputError(f"{error}; check its joint values, their unit and the nominal geometry") from None

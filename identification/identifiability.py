@@ -1,0 +1,65 @@
+"""What the measurements can see: rank, singular values, unobservable directions."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.linalg
+
+from identification.error_model import Parameters
+
+RANK_TOLERANCE = 1e-9  # relative to the largest singular value
+_FLAT_SCALE = 1e-3  # W and T have no tolerance: one millimetre, one milliradian
+_SHARE = 1e-6
+
+
+@dataclass(frozen=True)
+class Identifiability:
+    """Of the whitened identification Jacobian, every parameter measured in its tolerance; priors play no part."""
+
+    rank: int
+    singular_values: np.ndarray  # (n_parameters,), descending
+    tolerance: float  # below it a singular value counts as zero
+    condition_number: float  # of the identifiable subspace
+    observable_share: np.ndarray  # (n_parameters,) squared length of each parameter's projection on it, 0 .. 1
+    unobservable: tuple[str, ...]  # a basis of the rest, in parameter names
+
+    @property
+    def identifiable(self) -> np.ndarray:
+        """(n_parameters,) bool: the data alone determine the parameter, whatever the others are."""
+        return self.observable_share > 1 - _SHARE
+
+
+def identifiability(jacobian: np.ndarray, parameters: Parameters) -> Identifiability:
+    """jacobian: (rows, n_parameters) of the whitened residuals."""
+    n = len(parameters)
+    scale = np.where(parameters.flat, _FLAT_SCALE, parameters.tolerance)
+    triangle = np.linalg.qr(jacobian * scale, mode="r")
+    _, singular, vt = np.linalg.svd(triangle, full_matrices=True)
+    singular = np.concatenate([singular, np.zeros(n - len(singular))])
+    tolerance = RANK_TOLERANCE * float(singular[0])
+    rank = int(np.sum(singular > tolerance))
+    share = np.sum(vt[:rank] ** 2, axis=0)
+    condition = float(singular[0] / singular[rank - 1]) if rank else float("inf")
+    return Identifiability(rank, singular, tolerance, condition, share, _in_names(vt[rank:].T, scale, parameters))
+
+
+def _in_names(null_space: np.ndarray, scale: np.ndarray, parameters: Parameters) -> tuple[str, ...]:
+    """A sparse basis of the null space (n_parameters, k), each vector led by the parameter that it alone holds."""
+    k = null_space.shape[1]
+    if not k:
+        return ()
+    pivots = scipy.linalg.qr(null_space.T, pivoting=True, mode="r")[1][:k]
+    basis = null_space @ np.linalg.inv(null_space[pivots])  # 1 at its own pivot, 0 at the others'
+    physical = basis * scale[:, None] / scale[pivots]
+    return tuple(_written(physical[:, i], basis[:, i], pivots[i], parameters) for i in range(k))
+
+
+def _written(direction: np.ndarray, scaled: np.ndarray, pivot: int, parameters: Parameters) -> str:
+    others = [j for j in np.argsort(-np.abs(scaled)) if j != pivot and abs(scaled[j]) > 1e-6]
+    if not others:
+        return f"{parameters.names[pivot]} is not seen at all"
+    terms = [f"{direction[j]:+.4g} {parameters.names[j]}" for j in others[:8]]
+    more = f" (and {len(others) - 8} smaller)" if len(others) > 8 else ""
+    return f"{parameters.names[pivot]} trades against {' '.join(terms)}{more}"

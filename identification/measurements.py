@@ -1,0 +1,173 @@
+"""The measurement table: reading, checking, units. One row a static pose."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+
+from urdf.description import Column, Measure, Sensor
+from urdf.errors import InputError
+from urdf.rigid_motion import from_xyz_angles
+
+UNITS = {"m": 1.0, "mm": 1e-3, "rad": 1.0, "deg": np.pi / 180, "rev": 2 * np.pi, "1": 1.0}
+QUATERNION = ("qx", "qy", "qz", "qw")
+EULER = ("rx", "ry", "rz")  # intrinsic XYZ [rad], another way to give the orientation
+POSITION = ("x", "y", "z")
+TILT = ("roll", "pitch")
+_GROUPS = (QUATERNION, EULER, POSITION, TILT)
+_LENGTH_TOLERANCE = 5e-3  # of a quaternion: three printed decimals
+_ALLOWED = "qx, qy, qz, qw; rx, ry, rz; x, y, z; roll, pitch; yaw"
+
+
+@dataclass(frozen=True)
+class Measurements:
+    """n measured poses in the measurement frame, as arrays in SI units and radians. What was not measured is None.
+
+    readings: (n, n_actuated), as the actuators' encoders gave them, never corrected.
+    """
+
+    pose: np.ndarray  # (n,) the poses' numbers
+    readings: np.ndarray
+    orientation: np.ndarray | None = None  # (n, 3, 3)
+    position: np.ndarray | None = None  # (n, 3) [m]
+    tilt: np.ndarray | None = None  # (n, 2) roll, pitch [rad]
+    yaw: np.ndarray | None = None  # (n,) [rad]
+    orientation_std: np.ndarray | None = None  # (n,) one sigma about each axis [rad]
+    position_std: np.ndarray | None = None  # (n,) [m]
+    tilt_std: np.ndarray | None = None  # (n,) [rad]
+    yaw_std: np.ndarray | None = None  # (n,) [rad]
+
+    def __len__(self) -> int:
+        return len(self.readings)
+
+    def __getitem__(self, rows) -> Measurements:
+        values = {k: v[rows] for k, v in self.__dict__.items() if v is not None}
+        return replace(self, **values)
+
+    @property
+    def channels(self) -> tuple[str, ...]:
+        """What was measured, of orientation, tilt, yaw and position."""
+        return tuple(c for c in ("orientation", "tilt", "yaw", "position") if getattr(self, c) is not None)
+
+
+def read_table(file: Path, joints: Sequence[str], measure: Measure) -> pd.DataFrame:
+    """A CSV or Parquet file as the canonical table: pose, one column a joint, and the measured columns it has.
+
+    Raises InputError that names the file, the column, the row and the value.
+    """
+    raw = _load(file, measure)
+    if not len(raw):
+        raise InputError(f"{file}: the table is empty; at least one row is needed")
+    table = pd.DataFrame(index=range(len(raw)))
+    known = ["pose", *joints, *(c for group in _GROUPS for c in group), "yaw"]
+    known += [f"{c}_std" for c in ("orientation", "position", "tilt", "yaw")]
+    for name in measure.columns:
+        if name not in known:
+            raise InputError(f"{file}: measure.columns: {name!r} is no column of a measurement table; allowed: {', '.join(known)}")
+    for name in known:
+        column = measure.columns.get(name, Column.model_validate({"from": name}))
+        if column.source in raw.columns:
+            table[name] = _numbers(raw[column.source], column, file)
+        elif name in measure.columns or name in joints:
+            raise InputError(f"{file}: column {column.source!r} ({name}) is missing; it has {', '.join(map(str, raw.columns))}")
+    if "pose" not in table:
+        table.insert(0, "pose", np.arange(len(table)))
+    _check_rows(table, file)
+    if all(c in table for c in EULER):
+        table = _with_quaternion(table)
+    return table
+
+
+def _load(file: Path, measure: Measure) -> pd.DataFrame:
+    try:
+        if file.suffix.lower() in (".parquet", ".pq"):
+            return pd.read_parquet(file)
+        return pd.read_csv(file, sep=measure.separator, decimal=measure.decimal, skipinitialspace=True)
+    except OSError as error:
+        raise InputError(f"{file}: can't be read: {error.strerror or error}") from None
+    except pd.errors.EmptyDataError:
+        raise InputError(f"{file}: the file is empty; a header and at least one row are needed") from None
+    except (ValueError, UnicodeDecodeError) as error:  # pyarrow's and pandas' parsers raise kinds of ValueError
+        raise InputError(f"{file}: not a table that can be read: {' '.join(str(error).split())[:200]}") from None
+
+
+def _numbers(values: pd.Series, column: Column, file: Path) -> np.ndarray:
+    numbers = pd.to_numeric(values, errors="coerce").to_numpy(dtype=float)
+    bad = np.flatnonzero(~np.isfinite(numbers))
+    if len(bad):
+        found = values.iloc[bad[0]]
+        raise InputError(f"{file}: column {column.source!r}, row {bad[0] + 1}: found {found!r}; allowed are finite numbers")
+    return numbers * UNITS[column.unit]
+
+
+def _check_rows(table: pd.DataFrame, file: Path) -> None:
+    number = table["pose"].to_numpy()
+    if np.any(number != np.round(number)):
+        row = int(np.flatnonzero(number != np.round(number))[0])
+        raise InputError(f"{file}: column 'pose', row {row + 1}: found {number[row]:g}; allowed are whole numbers")
+    table["pose"] = number.astype(np.int64)
+    repeated = table["pose"][table["pose"].duplicated()]
+    if len(repeated):
+        raise InputError(f"{file}: pose {repeated.iloc[0]} stands there twice (row {repeated.index[0] + 1}); allowed is once")
+    for group in _GROUPS:
+        found = [c for c in group if c in table]
+        if found and len(found) < len(group):
+            missing = ", ".join(c for c in group if c not in table)
+            raise InputError(f"{file}: it has {', '.join(found)}, but not {missing}; allowed is all of them or none")
+    if not any(c in table for c in (*(c for group in _GROUPS for c in group), "yaw")):
+        raise InputError(f"{file}: nothing was measured; allowed are {_ALLOWED}")
+    for name in table.columns:
+        if name.endswith("_std") and not (table[name] > 0).all():
+            row = int(np.flatnonzero(~(table[name] > 0))[0])
+            raise InputError(f"{file}: column {name!r}, row {row + 1}: found {table[name][row]:g}; allowed is greater than 0")
+    if "qw" in table:
+        length = np.linalg.norm(table[list(QUATERNION)].to_numpy(), axis=1)
+        bad = np.flatnonzero(np.abs(length - 1) > _LENGTH_TOLERANCE)
+        if len(bad):
+            raise InputError(f"{file}: row {bad[0] + 1}: the quaternion's length is {length[bad[0]]:.4g}; allowed is 1")
+
+
+def _with_quaternion(table: pd.DataFrame) -> pd.DataFrame:
+    if "qw" not in table:
+        table[list(QUATERNION)] = quaternions(from_xyz_angles(table[list(EULER)].to_numpy()))
+    return table.drop(columns=list(EULER))
+
+
+def quaternions(rotation: np.ndarray) -> np.ndarray:
+    """(n, 4) quaternions x, y, z, w of rotation matrices (n, 3, 3), with w >= 0."""
+    from scipy.spatial.transform import Rotation
+
+    return Rotation.from_matrix(rotation).as_quat(canonical=True)
+
+
+def to_measurements(table: pd.DataFrame, joints: Sequence[str], sensor: Sensor) -> Measurements:
+    """The canonical table as arrays; sigmas come from its *_std columns, else from [sensor]."""
+    from scipy.spatial.transform import Rotation
+
+    def std(name: str, default: float) -> np.ndarray:
+        return table[name].to_numpy(float) if name in table else np.full(len(table), default)
+
+    values: dict[str, np.ndarray] = {}
+    if "qw" in table:
+        values["orientation"] = Rotation.from_quat(table[list(QUATERNION)].to_numpy(float)).as_matrix()
+        values["orientation_std"] = std("orientation_std", np.deg2rad(sensor.orientation_deg))
+    if "x" in table:
+        values["position"] = table[list(POSITION)].to_numpy(float)
+        values["position_std"] = std("position_std", sensor.position_mm * 1e-3)
+    if "roll" in table:
+        values["tilt"] = table[list(TILT)].to_numpy(float)
+        values["tilt_std"] = std("tilt_std", np.deg2rad(sensor.tilt_deg))
+    if "yaw" in table:
+        values["yaw"] = table["yaw"].to_numpy(float)
+        values["yaw_std"] = std("yaw_std", np.deg2rad(sensor.yaw_deg))
+    return Measurements(table["pose"].to_numpy(), table[list(joints)].to_numpy(float), **values)
+
+
+def to_table(joints: Sequence[str], readings: np.ndarray, measured: Mapping[str, np.ndarray]) -> pd.DataFrame:
+    """The canonical table of readings (n, n_actuated) and of measured columns, poses numbered from 0."""
+    columns = {name: readings[:, k] for k, name in enumerate(joints)}
+    return pd.DataFrame({"pose": np.arange(len(readings)), **columns, **measured})

@@ -1,0 +1,188 @@
+"""W and T from a closed-form start: motions of any size between the base and the instrument, the tool and its target.
+
+Measured = W * tool pose * T. Rotations: the linear system R_m X = Y R (X = T^T, Y = W) by its smallest singular vector
+(Shah 2013, J. Mechanisms Robotics 5, 031007); tilt gives one row of it. Where the poses don't excite it (one axis, or
+pure translation) alternating orthogonal Procrustes from the 24 rotations of a cube stands in. Translations are linear
+once the rotations are known.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from identification.measurements import Measurements
+from urdf.errors import InputError
+from urdf.rigid_motion import Motion
+
+MIN_POSES = 3
+_MOST = 2000  # poses a start is computed from
+_ALTERNATIONS = 50
+_ALONE = 3.0  # the smallest singular value stands alone when the next is this many times larger
+_CUBE = Rotation.create_group("O").as_matrix()
+_UP = np.array([0.0, 0.0, 1.0])
+
+
+@dataclass(frozen=True)
+class _Candidate:
+    cost: float
+    instrument: np.ndarray  # (3, 3)
+    target: np.ndarray  # (3, 3)
+
+
+def starts(tool: Motion, measured: Measurements) -> list[tuple[Motion, Motion]]:
+    """Starts for (W, T), best guess first, from tool poses in the base frame (n) and what was measured there.
+
+    Raises InputError where there are fewer than 3 poses.
+    """
+    if len(measured) < MIN_POSES:
+        raise InputError(f"measurements: {len(measured)} poses can't register W and T; at least {MIN_POSES} are needed")
+    rows = np.linspace(0, len(measured) - 1, min(len(measured), _MOST)).astype(int)
+    tool, measured = tool[rows], measured[rows]
+    rotation = _orientation(measured)
+    if rotation is not None:
+        pairs = [_kronecker(rotation, tool.rotation) or _alternate(rotation, tool.rotation)]
+    elif measured.tilt is not None:
+        up = _up(measured)
+        pairs = [
+            (turn @ instrument, target)
+            for instrument, target in [_kronecker_tilt(up, tool.rotation) or _alternate_tilt(up, tool.rotation)]
+            for turn in (_about_gravity(8) if measured.position is not None else [np.eye(3)])
+        ]
+    elif measured.position is not None:
+        pairs = _alternate_positions(measured.position, tool)
+    else:  # a heading alone: nothing to hold on to
+        pairs = [(np.eye(3), np.eye(3))]
+    found = [_with_translations(pair, tool, measured) for pair in pairs]
+    return [(w, t) for _, w, t in sorted(found, key=lambda f: f[0])][:4]
+
+
+def _orientation(measured: Measurements) -> np.ndarray | None:
+    if measured.orientation is not None:
+        return measured.orientation
+    if measured.tilt is not None and measured.yaw is not None:
+        angles = np.column_stack([measured.yaw, measured.tilt[:, 1], measured.tilt[:, 0]])
+        return Rotation.from_euler("ZYX", angles).as_matrix()
+    return None
+
+
+def _up(measured: Measurements) -> np.ndarray:
+    """(n, 3): the vertical in the target's frame, the third row of its orientation."""
+    assert measured.tilt is not None
+    roll, pitch = measured.tilt.T
+    return np.stack([-np.sin(pitch), np.cos(pitch) * np.sin(roll), np.cos(pitch) * np.cos(roll)], axis=1)
+
+
+def _procrustes(matrix: np.ndarray) -> np.ndarray:
+    """The rotations nearest to matrices (..., 3, 3)."""
+    u, _, vt = np.linalg.svd(matrix)
+    u[..., :, 2] *= np.sign(np.linalg.det(u @ vt))[..., None]
+    return u @ vt
+
+
+def _kronecker(measured: np.ndarray, tool: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
+    """W and T from R_m T^T - W R = 0, linear in both: (9 n, 18)."""
+    n = len(tool)
+    eye = np.eye(3)
+    for_w = -np.einsum("ik,nlj->nijkl", eye, tool).reshape(9 * n, 9)
+    for_x = np.einsum("nik,lj->nijkl", measured, eye).reshape(9 * n, 9)
+    smallest = _smallest(np.concatenate([for_w, for_x], axis=1))
+    if smallest is None:
+        return None
+    w, x = smallest[:9].reshape(3, 3), smallest[9:].reshape(3, 3)
+    sign = np.sign(np.linalg.det(w)) or 1.0
+    return _procrustes(sign * w), _procrustes(sign * x).T
+
+
+def _smallest(matrix: np.ndarray) -> np.ndarray | None:
+    """The right singular vector of the smallest singular value; None where that one does not stand alone."""
+    _, singular, vt = np.linalg.svd(np.linalg.qr(matrix, mode="r"))
+    alone = len(singular) == len(vt) and singular[-2] > max(_ALONE * singular[-1], 1e-9 * singular[0])
+    return vt[-1] if alone else None
+
+
+def _alternate(measured: np.ndarray, tool: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    best = _Candidate(np.inf, np.eye(3), np.eye(3))
+    for target in _CUBE:
+        for _ in range(_ALTERNATIONS):
+            w = _procrustes(np.einsum("nij,kj,nlk->il", measured, target, tool))
+            target = _procrustes(np.einsum("nji,kj,nkl->il", tool, w, measured))
+        cost = float(np.sum((w @ tool @ target - measured) ** 2))
+        best = min(best, _Candidate(cost, w, target), key=lambda c: c.cost)
+    return best.instrument, best.target
+
+
+def _from_vertical(vertical: np.ndarray) -> np.ndarray:
+    """A rotation W with W^T e_z along `vertical` (in the base frame), turned as little as possible."""
+    return Rotation.align_vectors(_UP[None], vertical[None])[0].as_matrix()
+
+
+def _kronecker_tilt(up: np.ndarray, tool: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
+    """W (but for its turn about gravity) and T from T g_m - R^T v = 0, linear in T and v = W^T e_z: (3 n, 12)."""
+    n = len(tool)
+    for_t = np.einsum("ik,nl->nikl", np.eye(3), up).reshape(3 * n, 9)
+    for_v = -tool.swapaxes(1, 2).reshape(3 * n, 3)
+    smallest = _smallest(np.concatenate([for_t, for_v], axis=1))
+    if smallest is None:
+        return None
+    sign = np.sign(np.linalg.det(smallest[:9].reshape(3, 3))) or 1.0
+    vertical = sign * smallest[9:]
+    length = np.linalg.norm(vertical)
+    return _from_vertical(vertical / length if length > 0 else _UP), _procrustes(sign * smallest[:9].reshape(3, 3))
+
+
+def _alternate_tilt(up: np.ndarray, tool: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    best = (np.inf, _UP, np.eye(3))
+    for target in _CUBE:
+        for _ in range(_ALTERNATIONS):
+            vertical = np.einsum("nij,jk,nk->i", tool, target, up)
+            vertical /= max(np.linalg.norm(vertical), 1e-300)
+            target = _procrustes(np.einsum("nji,j,nk->ik", tool, vertical, up))
+        cost = float(np.sum((up @ target.T - np.einsum("nji,j->ni", tool, vertical)) ** 2))
+        best = min(best, (cost, vertical, target), key=lambda c: c[0])
+    return _from_vertical(best[1]), best[2]
+
+
+def _alternate_positions(measured: np.ndarray, tool: Motion) -> list[tuple[np.ndarray, np.ndarray]]:
+    """W's rotation from positions alone: the two best of 24 starts, translations and rotation in turn."""
+    found = []
+    for w in _CUBE:
+        for _ in range(_ALTERNATIONS):
+            offset, shift, _ = _translations(w, tool, measured)
+            points = tool.translation + tool.rotation @ offset
+            w = _procrustes((measured - measured.mean(axis=0)).T @ (points - points.mean(axis=0)))
+        found.append((_translations(w, tool, measured)[2], w))
+    return [(w, np.eye(3)) for _, w in sorted(found, key=lambda f: f[0])[:2]]
+
+
+def _about_gravity(n: int) -> list[np.ndarray]:
+    return [Rotation.from_euler("z", 2 * np.pi * k / n).as_matrix() for k in range(n)]
+
+
+def _translations(w: np.ndarray, tool: Motion, position: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
+    """T's and W's translations by linear least squares (of least norm), and the sum of squares left."""
+    n = len(position)
+    system = np.concatenate([tool.rotation.reshape(3 * n, 3), np.tile(np.eye(3), (n, 1))], axis=1)
+    right = (position @ w - tool.translation).ravel()
+    solution = np.linalg.lstsq(system, right, rcond=1e-9)[0]
+    return solution[:3], w @ solution[3:], float(np.sum((system @ solution - right) ** 2))
+
+
+def _with_translations(pair, tool: Motion, measured: Measurements) -> tuple[float, Motion, Motion]:
+    """Both motions, and a cost by which starts are ordered."""
+    w, t = pair
+    cost, offset, shift = 0.0, np.zeros(3), np.zeros(3)
+    if measured.position is not None:
+        assert measured.position_std is not None
+        offset, shift, left = _translations(w, tool, measured.position)
+        cost += left / measured.position_std.mean() ** 2
+    predicted = w @ tool.rotation @ t
+    rotation = _orientation(measured)
+    if rotation is not None:
+        std = measured.orientation_std if measured.orientation_std is not None else measured.tilt_std
+        cost += float(np.sum((predicted - rotation) ** 2)) / 2 / np.mean(std) ** 2
+    elif measured.tilt is not None:
+        cost += float(np.sum((predicted[:, 2] - _up(measured)) ** 2)) / np.mean(measured.tilt_std) ** 2
+    return cost, Motion(w, shift), Motion(t, offset)

@@ -1,0 +1,1 @@
+"""The robot as drawn: description, closed chain, kinematics."""

@@ -1,0 +1,369 @@
+"""robot.toml -> RobotDescription: typed, validated, every field with its unit in its name or its comment."""
+
+from __future__ import annotations
+
+import difflib
+import tomllib
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any, Literal, TypeVar, get_args
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
+
+from urdf.errors import InputError
+
+ROBOTS = Path(__file__).parent / "robots"
+
+_Model = TypeVar("_Model", bound=BaseModel)
+
+Axis = Literal["x", "y", "z"]
+Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.\-]{0,63}$")]
+Range = Annotated[tuple[float, float], Field(strict=False)]
+Vector = Annotated[tuple[float, float, float], Field(strict=False)]
+Positive = Annotated[float, Field(gt=0)]
+NotNegative = Annotated[float, Field(ge=0)]
+File = Annotated[Path, Field(strict=False)]
+Unit = Literal["m", "mm", "rad", "deg", "rev", "1"]
+Channel = Literal["orientation", "position", "tilt", "yaw"]
+
+
+class _Table(BaseModel):
+    model_config = ConfigDict(extra="forbid", strict=True, frozen=True, allow_inf_nan=False)
+
+
+class Loop(_Table):
+    """Closes the tree: the two frames meet."""
+
+    name: Name
+    kind: Literal["point", "frame"]  # point: 3 equations; frame: 6
+    frames: Annotated[tuple[str, str], Field(strict=False)]
+
+
+class Workspace(_Table):
+    """Of the tool about its home pose; the axes listed are its degrees of freedom.
+
+    A tool coordinate is a translation along the base frame's axes, or an intrinsic XYZ angle of
+    home orientation^T * orientation.
+    """
+
+    rotation_deg: dict[Axis, Range] = {}
+    translation_mm: dict[Axis, Range] = {}
+    max_condition: Annotated[float, Field(gt=1)] = 100.0
+    home_mm: Vector | None = None
+    home_rotation_deg: Vector | None = None  # intrinsic XYZ
+
+    @field_validator("rotation_deg", "translation_mm")
+    @classmethod
+    def _ordered(cls, ranges: dict[str, tuple[float, float]]) -> dict[str, tuple[float, float]]:
+        for axis, (low, high) in ranges.items():
+            if not low < 0 < high:
+                raise ValueError(f"{axis} = [{low}, {high}]: allowed is [low, high] with low < 0 < high")
+        return dict(sorted(ranges.items()))
+
+    @model_validator(mode="after")
+    def _regular(self) -> Workspace:
+        for axis, bounds in self.rotation_deg.items():
+            limit = 85 if axis == "y" else 175
+            if max(map(abs, bounds)) > limit:
+                raise ValueError(f"rotation_deg.{axis} = {list(bounds)}: allowed is within +-{limit} (XYZ angles)")
+        if not self.rotation_deg and not self.translation_mm:
+            raise ValueError("no axis listed: give rotation_deg, translation_mm or both")
+        return self
+
+
+class Tolerance(_Table):
+    """One sigma of manufacture: the prior of each kind of parameter."""
+
+    position_mm: Positive = 0.3
+    rotation_deg: Positive = 0.03
+    actuator_zero_mm: Positive = 0.3  # prismatic actuators
+    actuator_zero_deg: Positive = 0.03  # revolute actuators
+    actuator_gain: Positive = 1e-3  # relative to the nominal gain
+
+
+class Sensor(_Table):
+    """One sigma of one reading, where the data has no *_std column."""
+
+    orientation_deg: Positive = 0.0006  # about each axis
+    position_mm: Positive = 0.02  # along each axis
+    tilt_deg: Positive = 0.01
+    yaw_deg: Positive = 0.01
+
+
+class Actuator(_Table):
+    """joint value = zero + gain * reading."""
+
+    gain: float = 1.0  # metres (or radians) per unit of the reading
+    zero: float = 0.0  # metres (or radians)
+
+    @field_validator("gain")
+    @classmethod
+    def _not_zero(cls, gain: float) -> float:
+        if gain == 0:
+            raise ValueError("0: allowed is any other number")
+        return gain
+
+
+class Split(_Table):
+    test: Annotated[float, Field(gt=0, lt=1)] = 0.2  # of the measured poses; 1 / test folds for cross-validation
+
+
+class Plan(_Table):
+    poses: Annotated[int, Field(ge=1, le=1_000_000)] = 150
+    # grid: uniform, as in the paper; random: scrambled Sobol points. Default: grid up to three axes, else random.
+    layout: Literal["grid", "random"] | None = None
+
+
+class Column(_Table):
+    source: str = Field(alias="from")
+    unit: Unit = "1"  # 1: as the table's own convention has it (SI, radians, the actuator's unit)
+
+
+class VirtualErrors(_Table):
+    """How the virtual robot differs from its drawing. Switches first, sizes after."""
+
+    geometric: bool = True  # drawn from [tolerance], on every placement and actuator
+    elastic: bool = True
+    screw: bool = True
+    payload_kg: NotNegative = 40.0
+    payload_centre_mm: Vector = (20.0, 10.0, 150.0)  # in the tool frame
+    stiffness_n_per_m: Positive = 2.5e6  # of a prismatic actuator's leg
+    stiffness_nm_per_rad: Positive = 1e6  # of a revolute actuator
+    screw_amplitude_mm: NotNegative = 0.008
+    screw_period_mm: Positive = 80.0
+    screw_quadratic_per_m: float = 3e-4  # times (q - q_home)^2
+    gear_amplitude_deg: NotNegative = 0.001  # the same for revolute actuators
+    gear_period_deg: Positive = 12.0
+    gear_quadratic_per_rad: float = 1e-5
+    frame_rotation_deg: NotNegative = 1.0  # size of W's and T's rotation
+    frame_translation_mm: NotNegative = 10.0
+
+
+class Measure(_Table):
+    source: Literal["virtual", "files"] | None = None  # default: files where a table is named
+    table: File | None = None
+    columns: dict[str, Column] = {}
+    separator: Annotated[str, Field(min_length=1, max_length=1)] = ","
+    decimal: Literal[".", ","] = "."
+    channels: tuple[Channel, ...] | None = Field(default=None, strict=False)  # virtual; default: all that can move
+    errors: VirtualErrors = VirtualErrors()
+
+    @field_validator("columns", mode="before")
+    @classmethod
+    def _short_form(cls, columns: Any) -> Any:
+        if isinstance(columns, Mapping):
+            return {k: {"from": v} if isinstance(v, str) else v for k, v in columns.items()}
+        return columns
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Measure:
+        if self.source == "files" and self.table is None:
+            raise ValueError('source = "files" needs a table: set measure.table to a CSV or Parquet file')
+        if self.channels is not None and not self.channels:
+            raise ValueError("channels = []: allowed are one or more of orientation, position, tilt, yaw")
+        if self.channels and "orientation" in self.channels and {"tilt", "yaw"} & set(self.channels):
+            raise ValueError("channels: orientation holds tilt and yaw already; give either")
+        return self
+
+    @property
+    def virtual(self) -> bool:
+        return self.source == "virtual" or (self.source is None and self.table is None)
+
+
+class Identify(_Table):
+    max_iterations: Annotated[int, Field(ge=1, le=1000)] = 50
+
+
+class Evaluate(_Table):
+    fresh_poses: Annotated[int, Field(ge=500, le=100_000)] = 500  # random poses of a virtual robot, noise-free
+
+
+class Mechanism(_Table):
+    """What the URDF does not say: frames, actuators, loops and the workspace."""
+
+    base_frame: str
+    tool_frame: str
+    actuated: Annotated[tuple[str, ...], Field(strict=False, min_length=1)]
+    workspace: Workspace
+    loop: Annotated[tuple[Loop, ...], Field(strict=False)] = ()
+
+    @model_validator(mode="after")
+    def _names(self) -> Mechanism:
+        for what, names in (("actuated", self.actuated), ("loop", [loop.name for loop in self.loop])):
+            repeated = {n for n in names if list(names).count(n) > 1}
+            if repeated:
+                raise ValueError(f"{what}: {sorted(repeated)[0]!r} stands there twice")
+        return self
+
+
+class RobotDescription(Mechanism):
+    name: Name
+    urdf: File
+    measure: Measure
+    seed: Annotated[int, Field(ge=0, lt=2**32)] = 0
+    tolerance: Tolerance = Tolerance()
+    sensor: Sensor = Sensor()
+    split: Split = Split()
+    actuator: dict[str, Actuator] = {}
+    plan: Plan = Plan()
+    identify: Identify = Identify()
+    evaluate: Evaluate = Evaluate()
+
+    @model_validator(mode="after")
+    def _actuators(self) -> RobotDescription:
+        for joint in self.actuator:
+            if joint not in self.actuated:
+                raise ValueError(f"actuator.{joint}: no actuated joint; {nearest(joint, self.actuated)}")
+        return self
+
+    @property
+    def mechanism(self) -> Mechanism:
+        return Mechanism(**{name: getattr(self, name) for name in Mechanism.model_fields})
+
+
+@dataclass(frozen=True)
+class Robot:
+    """A description and the file it came from."""
+
+    file: Path
+    description: RobotDescription
+
+
+# Fields that hold a path: relative to robot.toml there, to the current folder in --set.
+_PATHS = (("urdf",), ("measure", "table"))
+
+
+def load_robot(robot: str, overrides: Sequence[str] = ()) -> Robot:
+    """Read a robot by name (a folder under urdf/robots) or by the path to its robot.toml or folder.
+
+    overrides: `table.key=value`, each value in TOML syntax (a bare word is a string).
+    Raises InputError, naming the file, the field, what was found and what is allowed.
+    """
+    file = _find(robot)
+    content = _read_toml(file)
+    _resolve_paths(content, file.parent)
+    origin: dict[tuple[str, ...], str] = {}
+    for text in overrides:
+        keys, value = _parse_override(text)
+        _put(content, keys, value, text)
+        if keys in _PATHS and isinstance(value, str):
+            _put(content, keys, str(Path(value).absolute()), text)
+        origin[keys] = f"--set {text}"
+    return Robot(file, validate(RobotDescription, content, str(file), origin))
+
+
+def read_columns(file: Path) -> dict[str, Column]:
+    """A column map from a TOML file of its own, as [measure.columns] has it."""
+    content = _read_toml(file)
+    return validate(Measure, {"table": "-", "columns": content.get("columns", content)}, str(file)).columns
+
+
+def validate(
+    model: type[_Model], content: Mapping[str, Any], where: str, origin: Mapping[tuple[str, ...], str] | None = None
+) -> _Model:
+    """`content` as a `model`; the first error as one InputError that names `where` and the field."""
+    try:
+        return model.model_validate(dict(content))
+    except ValidationError as error:
+        # An unknown key explains a missing one (a misspelling): it comes first.
+        first = min(error.errors(), key=lambda e: e["type"] != "extra_forbidden")
+        loc = tuple(str(part) for part in first["loc"])
+        for keys, text in (origin or {}).items():
+            if loc[: len(keys)] == keys:
+                where = text
+        field = ".".join(loc)
+        raise InputError(f"{where}: {field + ': ' if field else ''}{_explain(first, model)}") from None
+
+
+def _explain(error: Any, model: type[BaseModel]) -> str:
+    if error["type"] == "extra_forbidden":
+        keys = _legal_keys(model, error["loc"][:-1])
+        return f"unknown key; {nearest(str(error['loc'][-1]), keys)}"
+    if error["type"] == "missing":
+        return "required, but missing"
+    message = error["msg"].removeprefix("Value error, ")
+    if error["type"] == "value_error":
+        return message
+    return f"found {_shorten(error['input'])}; {message[0].lower()}{message[1:]}"
+
+
+def _legal_keys(model: Any, loc: Iterable[Any]) -> list[str]:
+    """The keys of the table at `loc`, found by walking the model's annotations."""
+    for part in loc:
+        fields = getattr(model, "model_fields", {})
+        annotation = fields[part].annotation if part in fields else model
+        model = next((t for t in _walk(annotation) if isinstance(t, type) and issubclass(t, BaseModel)), model)
+    return [f.alias or name for name, f in model.model_fields.items()]
+
+
+def _walk(annotation: Any) -> Iterable[Any]:
+    yield annotation
+    for argument in get_args(annotation):
+        yield from _walk(argument)
+
+
+def nearest(name: str, legal: Iterable[str]) -> str:
+    """What to say of a name that does not exist: the nearest one, or all that do."""
+    legal = list(legal)
+    close = difflib.get_close_matches(name, legal, n=1, cutoff=0.5)
+    return f"did you mean {close[0]!r}?" if close else f"allowed: {', '.join(legal[:12])}{', ...' if len(legal) > 12 else ''}"
+
+
+def _shorten(value: Any) -> str:
+    text = repr(value)
+    return text if len(text) <= 60 else text[:57] + "..."
+
+
+def _find(robot: str) -> Path:
+    path = Path(robot)
+    if path.is_dir() and (path / "robot.toml").is_file():
+        return (path / "robot.toml").absolute()
+    if path.is_file():
+        return path.absolute()
+    shipped = ROBOTS / robot / "robot.toml"
+    if "/" not in robot and shipped.is_file():
+        return shipped
+    names = sorted(p.parent.name for p in ROBOTS.glob("*/robot.toml"))
+    raise InputError(f"robot {robot!r}: neither a file nor a shipped robot; {nearest(robot, names)}")
+
+
+def _read_toml(file: Path) -> dict[str, Any]:
+    try:
+        return tomllib.loads(file.read_text(encoding="utf-8"))
+    except tomllib.TOMLDecodeError as error:
+        raise InputError(f"{file}: not valid TOML: {error}") from None
+    except UnicodeDecodeError:
+        raise InputError(f"{file}: not UTF-8 text") from None
+    except OSError as error:
+        raise InputError(f"{file}: can't be read: {error.strerror}") from None
+    except RecursionError:
+        raise InputError(f"{file}: nested too deeply") from None
+
+
+def _resolve_paths(content: dict[str, Any], folder: Path) -> None:
+    for *tables, key in _PATHS:
+        table: Any = content
+        for name in tables:
+            table = table.get(name) if isinstance(table, dict) else None
+        if isinstance(table, dict) and isinstance(table.get(key), str):
+            table[key] = str(folder / table[key])
+
+
+def _parse_override(text: str) -> tuple[tuple[str, ...], Any]:
+    key, equals, value = text.partition("=")
+    if not equals or not key.strip():
+        raise InputError(f"--set {text}: allowed is table.key=value")
+    keys = tuple(part.strip() for part in key.split("."))
+    try:
+        return keys, tomllib.loads(f"value = {value}")["value"]
+    except tomllib.TOMLDecodeError:
+        return keys, value.strip()
+
+
+def _put(content: dict[str, Any], keys: tuple[str, ...], value: Any, text: str) -> None:
+    for key in keys[:-1]:
+        content = content.setdefault(key, {})
+        if not isinstance(content, dict):
+            raise InputError(f"--set {text}: {key} is not a table")
+    content[keys[-1]] = value

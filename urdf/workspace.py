@@ -1,0 +1,175 @@
+"""Is the workspace fit for calibration? Mobility, singularities, assembly branches and joint limits; and poses in it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.stats import qmc
+
+from urdf.closed_chain import ClosedChain
+from urdf.description import Workspace
+from urdf.errors import InputError
+from urdf.kinematics import TOLERANCE, Closure, actuator_jacobian, forward, inverse, loop_jacobian, tool_coordinates, tree
+
+RANK_TOLERANCE = 1e-9  # relative to the largest singular value; exact derivatives leave ten orders of magnitude
+_GRID_POINTS = 1500
+
+
+@dataclass(frozen=True)
+class WorkspaceReport:
+    mobility: int
+    worst_condition: float
+    worst_pose: str
+    n_checked: int
+
+
+def bounds(workspace: Workspace) -> np.ndarray:
+    """(n_axes, 2) [m, rad], in the order of the chain's tool axes."""
+    millimetres = np.array(list(workspace.translation_mm.values())).reshape(-1, 2)
+    degrees = np.array(list(workspace.rotation_deg.values())).reshape(-1, 2)
+    return np.concatenate([millimetres * 1e-3, np.deg2rad(degrees)])
+
+
+def grid(workspace: Workspace, axes: tuple[int, ...], counts: list[int]) -> np.ndarray:
+    """Tool coordinates (prod(counts), 6) on a uniform grid over the workspace, its faces included."""
+    lines = [np.linspace(low, high, n) for (low, high), n in zip(bounds(workspace), counts, strict=True)]
+    return _full(np.stack(np.meshgrid(*lines, indexing="ij"), axis=-1).reshape(-1, len(axes)), axes)
+
+
+def sample(workspace: Workspace, axes: tuple[int, ...], n: int, seed: int, even: bool = False) -> np.ndarray:
+    """Tool coordinates (n, 6) spread over the workspace: uniformly at random, or evenly (scrambled Sobol points)."""
+    unit = (
+        qmc.Sobol(len(axes), seed=seed).random_base2(int(np.ceil(np.log2(max(n, 2)))))[:n]
+        if even
+        else np.random.default_rng(seed).random((n, len(axes)))
+    )
+    low, high = bounds(workspace).T
+    return _full(low + unit * (high - low), axes)
+
+
+def _full(values: np.ndarray, axes: tuple[int, ...]) -> np.ndarray:
+    u = np.zeros((len(values), 6))
+    u[:, list(axes)] = values
+    return u
+
+
+def describe(u: np.ndarray, axes: tuple[int, ...]) -> str:
+    """A pose as people read it: x = 12.3 mm, rz = -4.0 deg."""
+    parts = [f"{'xyz'[a]} = {1e3 * u[a]:.1f} mm" if a < 3 else f"r{'xyz'[a - 3]} = {np.rad2deg(u[a]):.1f} deg" for a in axes]
+    return ", ".join(parts)
+
+
+def mobility(chain: ClosedChain) -> int:
+    """Degrees of freedom at home: joints less the rank of the loop equations."""
+    jacobian = loop_jacobian(chain, tree(chain, chain.home[None]))[0]
+    return chain.n_joints - _rank(jacobian)
+
+
+def _rank(jacobian: np.ndarray) -> int:
+    if not jacobian.size:
+        return 0
+    singular = np.linalg.svd(jacobian, compute_uv=False)
+    return int(np.sum(singular > RANK_TOLERANCE * singular[0]))
+
+
+def condition_numbers(chain: ClosedChain, q: np.ndarray) -> np.ndarray:
+    """(n,) condition numbers of d(actuators) / d(tool coordinates), made free of units.
+
+    Translations are measured in the chain's characteristic length, the ratio of the two kinds of columns' norms at
+    home; likewise sliding against turning actuators. Infinite at a singularity.
+    """
+    home = _scaled(actuator_jacobian(chain, chain.home[None]), chain, None)[1]
+    jacobian, _ = _scaled(actuator_jacobian(chain, q), chain, home)
+    numbers = np.full(len(q), np.inf)
+    finite = np.isfinite(jacobian).all(axis=(1, 2))
+    singular = np.linalg.svd(jacobian[finite], compute_uv=False)
+    small = np.maximum(singular[:, -1], 1e-14 * singular[:, 0])
+    numbers[finite] = np.where(singular[:, -1] > 1e-12 * singular[:, 0], singular[:, 0] / small, np.inf)
+    return numbers
+
+
+def _scaled(jacobian: np.ndarray, chain: ClosedChain, scale: tuple[float, float] | None):
+    turning = np.array(chain.tool_axes) >= 3
+    sliding = chain.prismatic[chain.actuated]
+    if scale is None:
+        mean = np.nan_to_num(jacobian[0])
+        column = _ratio(mean[:, turning], mean[:, ~turning])
+        row = _ratio(mean[~sliding], mean[sliding])
+    else:
+        column, row = scale
+    jacobian = jacobian * np.where(turning, 1.0, column) * np.where(sliding, row, 1.0)[:, None]
+    return jacobian, (column, row)
+
+
+def _ratio(first: np.ndarray, second: np.ndarray) -> float:
+    if not first.size or not second.size or not np.any(first) or not np.any(second):
+        return 1.0
+    return float(np.sqrt(np.mean(first**2) / np.mean(second**2)))
+
+
+def check_workspace(chain: ClosedChain, workspace: Workspace) -> WorkspaceReport:
+    """Refuse a robot that can't be calibrated in its workspace; the pose, joint or number is named (InputError)."""
+    free = mobility(chain)
+    if _rank_deficient(chain):
+        raise InputError(
+            f"loops: they impose {chain.n_equations} equations, of which {chain.n_joints - free} are independent at home: "
+            "the mechanism is over-constrained (or its zero position is singular); use point loops, or cut another joint"
+        )
+    for what, count in (("actuated joints", len(chain.actuated)), ("axes in [workspace]", len(chain.tool_axes))):
+        if count != free:
+            raise InputError(f"mobility: the mechanism has {free} degrees of freedom at home, but {count} {what}")
+    axes = chain.tool_axes
+    per_axis = next(k for k in (11, 9, 7, 5, 4, 3) if k ** len(axes) <= _GRID_POINTS or k == 3)
+    _check_condition(chain, workspace, np.zeros((1, 6)), chain.home[None])
+    u = grid(workspace, axes, [per_axis] * len(axes))
+    found = inverse(chain, u)
+    _require_reached(chain, found, u)
+    worst, where = _check_condition(chain, workspace, u, found.q)
+    check_limits(chain, found.q, lambda row: f"workspace: pose ({describe(u[row], axes)})")
+    back = forward(chain, found.q[:, chain.actuated])
+    apart = np.abs(tool_coordinates(chain, back.pose) - tool_coordinates(chain, found.pose)).max(axis=1)
+    other = np.flatnonzero(~back.closed | (apart > 1e-6))
+    if len(other):
+        raise InputError(
+            f"workspace: pose ({describe(u[other[0]], axes)}): the actuators' values belong to another assembly branch "
+            "as well; shrink the workspace"
+        )
+    return WorkspaceReport(free, worst, where, len(u))
+
+
+def _rank_deficient(chain: ClosedChain) -> bool:
+    return chain.n_equations > 0 and _rank(loop_jacobian(chain, tree(chain, chain.home[None]))[0]) < chain.n_equations
+
+
+def _require_reached(chain: ClosedChain, found: Closure, u: np.ndarray) -> None:
+    if found.closed.all():
+        return
+    row = int(np.flatnonzero(~found.closed)[0])
+    pose = describe(u[row], chain.tool_axes)
+    if found.residual[row] < TOLERANCE:
+        raise InputError(f"workspace: pose ({pose}) lies behind a singularity, on another assembly branch; shrink it")
+    raise InputError(f"workspace: pose ({pose}) can't be reached (residual {found.residual[row]:.3g} m or rad)")
+
+
+def _check_condition(chain: ClosedChain, workspace: Workspace, u: np.ndarray, q: np.ndarray) -> tuple[float, str]:
+    numbers = condition_numbers(chain, q)
+    row = int(np.argmax(numbers))
+    pose = describe(u[row], chain.tool_axes)
+    if numbers[row] > workspace.max_condition:
+        raise InputError(
+            f"workspace: pose ({pose}) is singular: condition number {numbers[row]:.3g}, "
+            f"allowed is max_condition = {workspace.max_condition:g}"
+        )
+    return float(numbers[row]), pose
+
+
+def check_limits(chain: ClosedChain, q: np.ndarray, what) -> None:
+    """Refuse configurations q: (n, n_joints) beyond the URDF's joint limits; what(row) begins the message."""
+    outside = np.argwhere((q < chain.lower - 1e-9) | (q > chain.upper + 1e-9))
+    if len(outside):
+        row, j = outside[0]
+        raise InputError(
+            f"{what(row)}: joint {chain.joint_names[j]!r} would be at {q[row, j]:.6g}; "
+            f"its limits are [{chain.lower[j]:.6g}, {chain.upper[j]:.6g}]"
+        )
