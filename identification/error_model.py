@@ -17,6 +17,7 @@ import casadi as ca
 import numpy as np
 
 from identification.measurements import Measurements
+from urdf.actuators import Actuators
 from urdf.closed_chain import BASE, ClosedChain
 from urdf.description import Actuator, Tolerance
 from urdf.errors import InputError
@@ -53,21 +54,13 @@ class BuiltRobot:
     """A robot with given parameters: what it is, not how it was found."""
 
     chain: ClosedChain
-    gain: np.ndarray  # (n_actuated,)
-    zero: np.ndarray
+    actuators: Actuators
     instrument: Motion  # W
     target: Motion  # T
 
-    def joints(self, readings: np.ndarray) -> np.ndarray:
-        """Actuated joint values (n, n_actuated) [rad or m] of readings in the actuators' own units."""
-        return self.zero + self.gain * readings
-
-    def readings(self, joints: np.ndarray) -> np.ndarray:
-        """The inverse of `joints`."""
-        return (joints - self.zero) / self.gain
-
     def close(self, readings: np.ndarray, start: np.ndarray | None = None) -> Closure:
-        return forward(self.chain, self.joints(readings), start)
+        """The closed configurations at readings (n, n_actuated); start: (n, n_joints) near by, where known."""
+        return forward(self.chain, self.actuators.joints(readings), start)
 
     def measured(self, tool: Motion) -> Motion:
         """A tool pose as the instrument sees it: W * tool pose * T."""
@@ -87,24 +80,23 @@ class Linearisation:
 class ErrorModel:
     """Residuals of measurements and their exact derivatives, for any robot and any mix of channels."""
 
-    chain: ClosedChain
-    gain: np.ndarray
-    zero: np.ndarray
+    chain: ClosedChain  # nominal
+    actuators: Actuators  # nominal
     parameters: Parameters
     _functions: dict = field(default_factory=dict, repr=False, compare=False)
 
     @staticmethod
-    def of(chain: ClosedChain, actuators: Mapping[str, Actuator], tolerance: Tolerance) -> ErrorModel:
-        nominal = [actuators.get(name, Actuator()) for name in chain.actuated_names]
-        gain, zero = np.array([a.gain for a in nominal]), np.array([a.zero for a in nominal])
-        return ErrorModel(chain, gain, zero, _parameters(chain, gain, zero, tolerance))
+    def of(chain: ClosedChain, settings: Mapping[str, Actuator], tolerance: Tolerance) -> ErrorModel:
+        actuators = Actuators.nominal(chain, settings)
+        return ErrorModel(chain, actuators, _parameters(chain, actuators, tolerance))
 
     def robot(self, p: np.ndarray) -> BuiltRobot:
         """The robot with parameter changes p: (n_parameters,)."""
         xi, zero, gain, frames = self._split(p)
         chain = self.chain
         moved = chain.with_geometry(chain.rotation @ exp(xi[:, 3:]), chain.translation + xi[:, :3])
-        return BuiltRobot(moved, self.gain + gain, self.zero + zero, *(Motion.from_vector(v) for v in frames))
+        actuators = Actuators(self.actuators.gain + gain, self.actuators.zero + zero)
+        return BuiltRobot(moved, actuators, *(Motion.from_vector(v) for v in frames))
 
     def with_frames(self, p: np.ndarray, instrument: Motion, target: Motion) -> np.ndarray:
         """p with W and T replaced."""
@@ -129,7 +121,7 @@ class ErrorModel:
     def pose_jacobian(self, p: np.ndarray, readings: np.ndarray, q: np.ndarray) -> np.ndarray:
         """(n, 6, n_parameters): d(rotation in the target frame [rad], position [m]) / dp of predicted poses."""
         robot = self.robot(p)
-        pose = robot.measured(forward(robot.chain, robot.joints(readings), q).pose)
+        pose = robot.measured(robot.close(readings, q).pose)
         ones = np.ones(len(readings))
         itself = Measurements(np.arange(len(ones)), readings, pose.rotation, pose.translation,
                               orientation_std=ones, position_std=ones)  # fmt: skip
@@ -152,7 +144,7 @@ class ErrorModel:
 
     def _split(self, p: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, tuple[np.ndarray, np.ndarray]]:
         """Placement changes (n_bodies, 6), zeros, gains, and the vectors of W and T."""
-        kept, n = _kept(self.chain), len(self.gain)
+        kept, n = _kept(self.chain), len(self.actuators.gain)
         xi = np.zeros(6 * len(self.chain.rotation))
         xi[kept] = p[: len(kept)]
         zero, gain, frames = np.split(p[len(kept) :], [n, 2 * n])
@@ -174,7 +166,7 @@ def _kept(chain: ClosedChain) -> np.ndarray:
     return np.flatnonzero(keep)
 
 
-def _parameters(chain: ClosedChain, gain: np.ndarray, zero: np.ndarray, tolerance: Tolerance) -> Parameters:
+def _parameters(chain: ClosedChain, actuators: Actuators, tolerance: Tolerance) -> Parameters:
     kept = _kept(chain)
     position, rotation = tolerance.position_mm * 1e-3, np.deg2rad(tolerance.rotation_deg)
     names = [f"{chain.body_names[k // 6]}.{_COORDINATES[k % 6]}" for k in kept]
@@ -191,8 +183,8 @@ def _parameters(chain: ClosedChain, gain: np.ndarray, zero: np.ndarray, toleranc
     return Parameters(
         tuple(names),
         tuple(units),
-        np.concatenate([nominal, zero, gain, np.zeros(12)]),
-        np.concatenate([sigma, sigma_zero, tolerance.actuator_gain * np.abs(gain), np.full(12, np.inf)]),
+        np.concatenate([nominal, actuators.zero, actuators.gain, np.zeros(12)]),
+        np.concatenate([sigma, sigma_zero, tolerance.actuator_gain * np.abs(actuators.gain), np.full(12, np.inf)]),
     )
 
 

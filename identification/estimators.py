@@ -14,7 +14,7 @@ import numpy as np
 from identification import registration
 from identification.error_model import ErrorModel, Linearisation, require_closed
 from identification.measurements import Measurements
-from urdf.errors import CalibrationError
+from urdf.errors import CalibrationError, InputError
 
 _FLAT_SCALE = 1e-2  # a natural size for W and T in the scaled Jacobian [m, rad]; decides nothing but rounding
 _NULL = 1e-11  # relative to the largest singular value: below, neither data nor prior see the direction
@@ -62,13 +62,13 @@ def refit(model: ErrorModel, measured: Measurements, p: np.ndarray, free: np.nda
     """
     robot = model.robot(p)
     closure = require_closed(robot.close(measured.readings), measured)
-    begins = [p]
+    starts = [p]
     if free[-12:-6].any():
-        # W alone is anew: its start follows from the tool poses with T multiplied in
-        tool = closure.pose @ robot.target
-        begins += [model.with_frames(p, w, robot.target) for w, _ in registration.starts(tool, measured)]
-        begins += [model.with_frames(p, w @ t, robot.target) for w, t in registration.starts(tool, measured)]
-    return _best([_minimise(model, measured, b, closure.q, free, max_iterations) for b in begins], "registration")
+        if len(measured) < registration.MIN_POSES:
+            raise InputError(f"{len(measured)} poses can't register W; at least {registration.MIN_POSES} are needed")
+        found = registration.instrument_starts(closure.pose @ robot.target, measured)
+        starts = [model.with_frames(p, w, robot.target) for w in found]
+    return _best([_minimise(model, measured, s, closure.q, free, max_iterations) for s in starts], "registration")
 
 
 def _best(found: list[Estimate], what: str) -> Estimate:

@@ -9,7 +9,9 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from urdf.description import Column, Measure, Sensor
+from urdf.actuators import Actuators
+from urdf.closed_chain import ClosedChain
+from urdf.description import Column, Measure, Sensor, Tolerance
 from urdf.errors import InputError
 from urdf.rigid_motion import from_xyz_angles
 
@@ -54,9 +56,10 @@ class Measurements:
         return tuple(c for c in ("orientation", "tilt", "yaw", "position") if getattr(self, c) is not None)
 
 
-def read_table(file: Path, joints: Sequence[str], measure: Measure) -> pd.DataFrame:
+def read_table(file: Path, joints: Sequence[str], measure: Measure, measured: bool = True) -> pd.DataFrame:
     """A CSV or Parquet file as the canonical table: pose, one column a joint, and the measured columns it has.
 
+    measured: whether something must have been measured; a table of joint values alone is fine otherwise.
     Raises InputError that names the file, the column, the row and the value.
     """
     raw = _load(file, measure)
@@ -72,11 +75,13 @@ def read_table(file: Path, joints: Sequence[str], measure: Measure) -> pd.DataFr
         column = measure.columns.get(name, Column.model_validate({"from": name}))
         if column.source in raw.columns:
             table[name] = _numbers(raw[column.source], column, file)
+        elif name in raw.columns:  # a canonical table needs no map
+            table[name] = _numbers(raw[name], Column.model_validate({"from": name}), file)
         elif name in measure.columns or name in joints:
             raise InputError(f"{file}: column {column.source!r} ({name}) is missing; it has {', '.join(map(str, raw.columns))}")
     if "pose" not in table:
         table.insert(0, "pose", np.arange(len(table)))
-    _check_rows(table, file)
+    _check_rows(table, file, measured)
     if all(c in table for c in EULER):
         table = _with_quaternion(table)
     return table
@@ -104,7 +109,7 @@ def _numbers(values: pd.Series, column: Column, file: Path) -> np.ndarray:
     return numbers * UNITS[column.unit]
 
 
-def _check_rows(table: pd.DataFrame, file: Path) -> None:
+def _check_rows(table: pd.DataFrame, file: Path, measured: bool) -> None:
     number = table["pose"].to_numpy()
     if np.any(number != np.round(number)):
         row = int(np.flatnonzero(number != np.round(number))[0])
@@ -118,7 +123,7 @@ def _check_rows(table: pd.DataFrame, file: Path) -> None:
         if found and len(found) < len(group):
             missing = ", ".join(c for c in group if c not in table)
             raise InputError(f"{file}: it has {', '.join(found)}, but not {missing}; allowed is all of them or none")
-    if not any(c in table for c in (*(c for group in _GROUPS for c in group), "yaw")):
+    if measured and not any(c in table for c in (*(c for group in _GROUPS for c in group), "yaw")):
         raise InputError(f"{file}: nothing was measured; allowed are {_ALLOWED}")
     for name in table.columns:
         if name.endswith("_std") and not (table[name] > 0).all():
@@ -171,3 +176,23 @@ def to_table(joints: Sequence[str], readings: np.ndarray, measured: Mapping[str,
     """The canonical table of readings (n, n_actuated) and of measured columns, poses numbered from 0."""
     columns = {name: readings[:, k] for k, name in enumerate(joints)}
     return pd.DataFrame({"pose": np.arange(len(readings)), **columns, **measured})
+
+
+def check_readings(table: pd.DataFrame, chain: ClosedChain, actuators: Actuators, tolerance: Tolerance, file: Path) -> None:
+    """Refuse joint values beyond the URDF's limits (three tolerances of zero and gain are forgiven)."""
+    for k, name in enumerate(chain.actuated_names):
+        joint = chain.actuated[k]
+        zero = tolerance.actuator_zero_mm * 1e-3 if chain.prismatic[joint] else np.deg2rad(tolerance.actuator_zero_deg)
+        readings = table[name].to_numpy(float)
+        values = actuators.zero[k] + actuators.gain[k] * readings
+        slack = 3 * (zero + tolerance.actuator_gain * np.abs(actuators.gain[k] * readings))
+        low, high = chain.lower[joint] - slack, chain.upper[joint] + slack
+        bad = np.flatnonzero((values < low) | (values > high))
+        if len(bad):
+            row, unit = bad[0], "m" if chain.prismatic[joint] else "rad"
+            smaller = next((u for u in ("mm", "deg") if low[row] <= values[row] * UNITS[u] <= high[row]), None)
+            hint = f"; is it in {smaller}? (measure.columns gives a column's unit)" if smaller else ""
+            raise InputError(
+                f"{file}: pose {table['pose'][row]}: joint {name!r} would be at {values[row]:.6g} {unit}; "
+                f"its limits are [{chain.lower[joint]:.6g}, {chain.upper[joint]:.6g}]{hint}"
+            )

@@ -59,6 +59,27 @@ def starts(tool: Motion, measured: Measurements) -> list[tuple[Motion, Motion]]:
     return [(w, t) for _, w, t in sorted(found, key=lambda f: f[0])][:4]
 
 
+def instrument_starts(target: Motion, measured: Measurements) -> list[Motion]:
+    """Starts for W alone, from target poses in the base frame (n) and what was measured there."""
+    rotation = _orientation(measured)
+    if rotation is not None:
+        turns = [_procrustes(np.einsum("nij,nkj->ik", rotation, target.rotation))]
+    elif measured.tilt is not None:
+        upright = _from_vertical(np.einsum("nij,nj->i", target.rotation, _up(measured)))
+        turns = [turn @ upright for turn in _about_gravity(8 if measured.position is not None else 1)]
+    elif measured.position is not None:
+        turns = [_procrustes(_centred(measured.position).T @ _centred(target.translation))]
+    else:
+        turns = [np.eye(3)]
+    if measured.position is None:
+        return [Motion(w, np.zeros(3)) for w in turns]
+    return [Motion(w, (measured.position - target.translation @ w.T).mean(axis=0)) for w in turns]
+
+
+def _centred(points: np.ndarray) -> np.ndarray:
+    return points - points.mean(axis=0)
+
+
 def _orientation(measured: Measurements) -> np.ndarray | None:
     if measured.orientation is not None:
         return measured.orientation
@@ -152,7 +173,7 @@ def _alternate_positions(measured: np.ndarray, tool: Motion) -> list[tuple[np.nd
         for _ in range(_ALTERNATIONS):
             offset, shift, _ = _translations(w, tool, measured)
             points = tool.translation + tool.rotation @ offset
-            w = _procrustes((measured - measured.mean(axis=0)).T @ (points - points.mean(axis=0)))
+            w = _procrustes(_centred(measured).T @ _centred(points))
         found.append((_translations(w, tool, measured)[2], w))
     return [(w, np.eye(3)) for _, w in sorted(found, key=lambda f: f[0])[:2]]
 

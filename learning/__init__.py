@@ -1,0 +1,1 @@
+"""What geometry can't explain. Knows arrays and networks, no robots."""

@@ -1,0 +1,1 @@
+"""How it all runs: stages, cache, virtual robots, comparison, report, the command."""

@@ -231,7 +231,7 @@ class Robot:
 
 
 # Fields that hold a path: relative to robot.toml there, to the current folder in --set.
-_PATHS = (("urdf",), ("measure", "table"))
+PATHS = (("urdf",), ("measure", "table"))
 
 
 def load_robot(robot: str, overrides: Sequence[str] = ()) -> Robot:
@@ -247,7 +247,7 @@ def load_robot(robot: str, overrides: Sequence[str] = ()) -> Robot:
     for text in overrides:
         keys, value = _parse_override(text)
         _put(content, keys, value, text)
-        if keys in _PATHS and isinstance(value, str):
+        if keys in PATHS and isinstance(value, str):
             _put(content, keys, str(Path(value).absolute()), text)
         origin[keys] = f"--set {text}"
     return Robot(file, validate(RobotDescription, content, str(file), origin))
@@ -342,7 +342,7 @@ def _read_toml(file: Path) -> dict[str, Any]:
 
 
 def _resolve_paths(content: dict[str, Any], folder: Path) -> None:
-    for *tables, key in _PATHS:
+    for *tables, key in PATHS:
         table: Any = content
         for name in tables:
             table = table.get(name) if isinstance(table, dict) else None

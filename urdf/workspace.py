@@ -12,6 +12,7 @@ from urdf.description import Workspace
 from urdf.errors import InputError
 from urdf.kinematics import TOLERANCE, Closure, actuator_jacobian, forward, inverse, loop_jacobian, tool_coordinates, tree
 
+AXES = ("x", "y", "z", "rx", "ry", "rz")  # of the tool coordinates
 RANK_TOLERANCE = 1e-9  # relative to the largest singular value; exact derivatives leave ten orders of magnitude
 _GRID_POINTS = 1500
 
@@ -37,10 +38,10 @@ def grid(workspace: Workspace, axes: tuple[int, ...], counts: list[int]) -> np.n
     return _full(np.stack(np.meshgrid(*lines, indexing="ij"), axis=-1).reshape(-1, len(axes)), axes)
 
 
-def sample(workspace: Workspace, axes: tuple[int, ...], n: int, seed: int, even: bool = False) -> np.ndarray:
+def sample(workspace: Workspace, axes: tuple[int, ...], n: int, seed: int | list[int], even: bool = False) -> np.ndarray:
     """Tool coordinates (n, 6) spread over the workspace: uniformly at random, or evenly (scrambled Sobol points)."""
     unit = (
-        qmc.Sobol(len(axes), seed=seed).random_base2(int(np.ceil(np.log2(max(n, 2)))))[:n]
+        qmc.Sobol(len(axes), rng=np.random.default_rng(seed)).random_base2(int(np.ceil(np.log2(max(n, 2)))))[:n]
         if even
         else np.random.default_rng(seed).random((n, len(axes)))
     )
@@ -56,7 +57,7 @@ def _full(values: np.ndarray, axes: tuple[int, ...]) -> np.ndarray:
 
 def describe(u: np.ndarray, axes: tuple[int, ...]) -> str:
     """A pose as people read it: x = 12.3 mm, rz = -4.0 deg."""
-    parts = [f"{'xyz'[a]} = {1e3 * u[a]:.1f} mm" if a < 3 else f"r{'xyz'[a - 3]} = {np.rad2deg(u[a]):.1f} deg" for a in axes]
+    parts = [f"{AXES[a]} = {1e3 * u[a]:.1f} mm" if a < 3 else f"{AXES[a]} = {np.rad2deg(u[a]):.1f} deg" for a in axes]
     return ", ".join(parts)
 
 

@@ -1,0 +1,103 @@
+"""The page to sign: self-contained HTML by jinja2, figures as inline SVG."""
+
+from __future__ import annotations
+
+import io
+from typing import Any
+
+import numpy as np
+from jinja2 import Environment, FileSystemLoader, StrictUndefined
+from markupsafe import Markup
+from matplotlib import rc_context
+from matplotlib.backends.backend_svg import FigureCanvasSVG
+from matplotlib.figure import Figure
+
+from pipeline.fingerprint import ROOT
+from pipeline.results import Comparison, Identified, Measured, Model
+from pipeline.tables import comparison_table, parameter_table
+
+_STYLE = {"svg.hashsalt": "kincal", "svg.fonttype": "none", "font.size": 9, "font.family": "sans-serif"}
+_BLUE, _RED, _GREY = "#1f5fa8", "#b3261e", "#767676"
+
+
+def page(model: Model, measured: Measured, identified: Identified, compared: Comparison) -> str:
+    """The whole report of one robot."""
+    environment = Environment(
+        loader=FileSystemLoader(ROOT / "pipeline" / "templates"), autoescape=True, undefined=StrictUndefined
+    )
+    with rc_context(_STYLE):
+        figures: dict[str, Any] = {
+            "methods": _methods(compared),
+            "singular_values": _singular_values(identified),
+            "residuals": _residuals(identified),
+        }
+    return environment.get_template("report.html").render(
+        model=model,
+        measured=measured,
+        shipped=identified.shipped,
+        compared=compared,
+        comparison=comparison_table(compared.methods, compared.raw_nominal),
+        held_out=comparison_table(compared.held_out),
+        parameters=parameter_table(identified.shipped),
+        **figures,
+    )
+
+
+def _svg(figure: Figure) -> Markup:
+    buffer = io.StringIO()
+    FigureCanvasSVG(figure).print_svg(buffer, metadata={"Date": None, "Creator": None})
+    text = buffer.getvalue()
+    return Markup(text[text.index("<svg") :])  # noqa: S704 - drawn here, from numbers and escaped names
+
+
+def _axes(width: float, height: float) -> tuple[Figure, Any]:
+    figure = Figure(figsize=(width, height), layout="constrained")
+    axes = figure.add_subplot()
+    axes.spines[["top", "right"]].set_visible(False)
+    axes.grid(alpha=0.25)
+    return figure, axes
+
+
+def _methods(compared: Comparison) -> Markup:
+    in_degrees = compared.methods[0].mean_deg is not None
+    key, unit = ("deg", "degrees") if in_degrees else ("mm", "mm")
+    rows = [compared.raw_nominal, *compared.methods]
+    mean, largest = ([getattr(row, f"{what}_{key}") for row in rows] for what in ("mean", "max"))
+    figure, axes = _axes(6.4, 0.9 + 0.36 * len(rows))
+    places = np.arange(len(rows))
+    axes.barh(places, mean, height=0.55, color=_BLUE, label="mean")
+    axes.scatter(largest, places, color=_RED, marker="|", s=140, label="maximum")
+    axes.set_yticks(places, [row.name for row in rows])
+    axes.invert_yaxis()
+    axes.set_xscale("log")
+    axes.set_xlabel(f"volumetric error [{unit}]")
+    axes.legend(loc="lower right", frameon=False)
+    return _svg(figure)
+
+
+def _singular_values(identified: Identified) -> Markup:
+    shipped = identified.shipped
+    values = np.maximum(shipped.singular_values, shipped.singular_values[0] * 1e-18)
+    figure, axes = _axes(6.4, 3.0)
+    index = np.arange(1, len(values) + 1)
+    axes.semilogy(index[: shipped.rank], values[: shipped.rank], "o", ms=3, color=_BLUE, label=f"rank {shipped.rank}")
+    axes.semilogy(index[shipped.rank :], values[shipped.rank :], "o", ms=3, color=_GREY, label="unobservable")
+    axes.axhline(shipped.rank_tolerance, color=_RED, lw=1, label="tolerance")
+    axes.set_xlabel("singular value of the identification Jacobian")
+    axes.legend(frameon=False)
+    return _svg(figure)
+
+
+def _residuals(identified: Identified) -> Markup:
+    shipped = identified.shipped
+    size = np.sqrt(np.mean(shipped.residual**2, axis=1))
+    outliers = np.isin(shipped.poses, [o.pose for o in shipped.outliers])
+    figure, axes = _axes(6.4, 2.8)
+    axes.vlines(shipped.poses, 0, size, color=_BLUE, lw=1)
+    axes.plot(shipped.poses[outliers], size[outliers], "o", color=_RED, label="outlier")
+    axes.axhline(1, color=_GREY, lw=1, ls="--", label="one sigma of the sensor")
+    axes.set_ylim(bottom=0)
+    axes.set_xlabel("pose")
+    axes.set_ylabel("residual [sigma]")
+    axes.legend(frameon=False)
+    return _svg(figure)

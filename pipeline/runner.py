@@ -1,0 +1,210 @@
+"""Runs the stages of a robot through the cache: what is fresh is not run, and what is not says why."""
+
+from __future__ import annotations
+
+import inspect
+import sys
+import time
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
+from functools import lru_cache
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+from pydantic_core import to_jsonable_python
+
+from pipeline import results, stages
+from pipeline.artifacts import Damaged, Entry, Store, digest
+from pipeline.fingerprint import fingerprint
+from urdf.description import PATHS, Robot
+from urdf.errors import InputError
+
+
+@dataclass(frozen=True)
+class Stage:
+    """A stage function with what its signature says: inputs are other stages' results, the rest are settings."""
+
+    name: str
+    function: Callable[..., Any]
+    inputs: Mapping[str, str]  # {parameter: stage}
+    settings: tuple[str, ...]
+    libraries: tuple[str, ...]
+
+    @property
+    def result(self) -> type:
+        return getattr(results, self.function.__annotations__["return"])
+
+
+@lru_cache(maxsize=1)
+def all_stages() -> dict[str, Stage]:
+    producer = {f.__annotations__["return"]: f.__name__ for f in stages.STAGES}
+    found = {}
+    for function, libraries in stages.STAGES.items():
+        kinds = {name: p.annotation for name, p in inspect.signature(function).parameters.items()}
+        inputs = {name: producer[kind] for name, kind in kinds.items() if kind in producer}
+        settings = tuple(name for name in kinds if name not in inputs)
+        found[function.__name__] = Stage(function.__name__, function, inputs, settings, libraries)
+    return found
+
+
+def needed(until: str) -> list[Stage]:
+    """The stages that `until` rests on, itself included, in running order."""
+    known = all_stages()
+    if until not in known:
+        raise InputError(f"stage {until!r} does not exist; allowed: {', '.join(known)}")
+    wanted = {until}
+    for name in reversed(list(known)):
+        if name in wanted:
+            wanted |= set(known[name].inputs.values())
+    return [stage for name, stage in known.items() if name in wanted]
+
+
+@dataclass(frozen=True)
+class Event:
+    """Something to show: a stage begins (`seconds` is None), is done, or was cached."""
+
+    stage: str
+    state: str  # running, ran, cached, damaged
+    why: str = ""
+    seconds: float | None = None
+
+
+@dataclass
+class Run:
+    """One robot's way through the stages."""
+
+    robot: Robot
+    store: Store
+    force_from: str | None = None
+    observe: Callable[[Event], None] = lambda event: None
+    command: str = ""
+    _entries: dict[str, Entry] = field(default_factory=dict)
+
+    @property
+    def robot_id(self) -> str:
+        """Two robots of one name in different folders don't mix."""
+        return f"{self.robot.description.name}-{digest(str(self.robot.file.resolve()).encode())[:10]}"
+
+    def until(self, *names: str) -> list[Any]:
+        """Bring the stages `names` up to date and return their results, read back from the store."""
+        forced = False
+        wanted = {stage.name for name in names for stage in needed(name)}
+        for stage in (s for s in all_stages().values() if s.name in wanted):
+            forced = forced or stage.name == self.force_from
+            self._bring(stage, forced)
+        return [self._value(all_stages()[name]) for name in names]
+
+    def artifact(self, name: str) -> Path:
+        """The folder of a stage's result that this run has brought up to date."""
+        return self._entries[name].folder
+
+    def _bring(self, stage: Stage, forced: bool) -> None:
+        parts = self.key_parts(stage)
+        key = digest(parts)
+        entry = None if forced else self.store.find(stage.name, key)
+        if entry is None:
+            why = "--force-from" if forced else explain(self.store.last(self.robot_id, stage.name), parts)
+            self._produce(stage, parts, key, why, forced)
+        else:
+            self._entries[stage.name] = entry
+            self.store.remember(self.robot_id, stage.name, key)
+            self.observe(Event(stage.name, "cached"))
+
+    def _produce(self, stage: Stage, parts: Mapping[str, Any], key: str, why: str, forced: bool = False) -> None:
+        self.observe(Event(stage.name, "running", why))
+        inputs = {name: self._value(all_stages()[source]) for name, source in stage.inputs.items()}
+        with self.store.lock(stage.name, key):
+            began = time.perf_counter()
+            found = None if forced else self.store.find(stage.name, key)  # another run may have made it meanwhile
+            if found is None:
+                value = stage.function(**inputs, **{name: self._setting(name) for name in stage.settings})
+                seconds = time.perf_counter() - began
+                provenance = {
+                    "robot": self.robot_id,
+                    "command": self.command,
+                    "made": time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime()),
+                    "seconds": round(seconds, 3),
+                    "versions": {name: version(name) for name in stage.libraries},
+                }
+                found = self.store.save(stage.name, key, value, {"parts": parts, "provenance": provenance}, replace=forced)
+        self._entries[stage.name] = found
+        self.store.remember(self.robot_id, stage.name, key)
+        self.observe(Event(stage.name, "ran", why, time.perf_counter() - began))
+
+    def _value(self, stage: Stage) -> Any:
+        """A stage's result from the store; a damaged one is set aside and made again."""
+        try:
+            return self.store.load(self._entries[stage.name], stage.result)
+        except Damaged as damage:
+            self.observe(Event(stage.name, "damaged", str(damage)))
+            self.store.set_aside(self._entries[stage.name].folder)
+            parts = self.key_parts(stage)
+            self._produce(stage, parts, digest(parts), "its artifact was damaged")
+            return self.store.load(self._entries[stage.name], stage.result)
+
+    def key_parts(self, stage: Stage) -> dict[str, Any]:
+        """All that a stage's result depends on; its digest is the key. Where a file lies is no part of it."""
+        settings = {name: to_jsonable_python(self._setting(name), by_alias=True) for name in stage.settings}
+        files = {}
+        for *tables, key in PATHS:
+            table = settings.get(tables[0], {}) if tables else settings
+            if table.get(key) is not None:
+                files[".".join((*tables, key))] = _file_digest(Path(table[key]))
+                table[key] = "(file)"
+        return {
+            "stage": stage.name,
+            "code": fingerprint(stages.__name__, stage.name),
+            "settings": settings,
+            "files": files,
+            "inputs": {source: self._entries[source].digest for source in stage.inputs.values()},
+            "libraries": {name: ".".join(version(name).split(".")[:2]) for name in stage.libraries}
+            | {"python": f"{sys.version_info.major}.{sys.version_info.minor}"},
+        }
+
+    def _setting(self, name: str) -> Any:
+        return getattr(self.robot.description, name)
+
+    def status(self) -> Iterator[tuple[str, str, str]]:
+        """(stage, fresh | stale | missing, why) of every stage, from manifests and source alone."""
+        for stage in all_stages().values():
+            last = self.store.last(self.robot_id, stage.name)
+            if any(source not in self._entries for source in stage.inputs.values()):
+                stale = next(s for s in stage.inputs.values() if s not in self._entries)
+                yield stage.name, "missing" if last is None else "stale", f"{stale} must run first"
+                continue
+            parts = self.key_parts(stage)
+            entry = self.store.find(stage.name, digest(parts))
+            if entry is None:
+                yield stage.name, "missing" if last is None else "stale", explain(last, parts)
+            else:
+                self._entries[stage.name] = entry
+                yield stage.name, "fresh", ""
+
+
+def explain(last: Mapping[str, Any] | None, parts: Mapping[str, Any]) -> str:
+    """Why a stage runs: the difference of what its key was made of last time and now."""
+    if last is None:
+        return "never ran for this robot"
+    before = last.get("parts", {})
+    for group, said in (("settings", "setting"), ("files", "file"), ("inputs", "input"), ("code", "code"), ("libraries", "library")):
+        old, new = _flat(before.get(group, {})), _flat(parts[group])
+        changed = [name for name in {**old, **new} if old.get(name) != new.get(name)]
+        if changed:
+            more = f" and {len(changed) - 1} more" if len(changed) > 1 else ""
+            detail = f" {old.get(changed[0])} -> {new.get(changed[0])}" if group in ("settings", "libraries") else " changed"
+            return f"{said} {changed[0]}{detail}{more}"
+    return "its artifact is gone or damaged"
+
+
+def _flat(value: Any, prefix: str = "") -> dict[str, Any]:
+    if not isinstance(value, Mapping):
+        return {prefix: value}
+    return {k: v for name, part in value.items() for k, v in _flat(part, f"{prefix}.{name}" if prefix else name).items()}
+
+
+def _file_digest(file: Path) -> str:
+    try:
+        return digest(file.read_bytes())
+    except OSError as error:
+        raise InputError(f"{file}: can't be read: {error.strerror}") from None

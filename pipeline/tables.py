@@ -1,0 +1,100 @@
+"""What people read: results as rows of text, in degrees and millimetres. Shared by the terminal and the report."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from identification.identification import Identification
+from pipeline.results import MethodScore
+
+_HUMAN = {"m": ("mm", 1e3), "rad": ("deg", 180 / np.pi), "m/reading": ("mm/reading", 1e3), "rad/reading": ("deg/reading", 180 / np.pi)}
+_Z95 = 1.959964  # of a normal distribution: 95 % lie within
+
+
+@dataclass(frozen=True)
+class Table:
+    columns: tuple[str, ...]
+    rows: tuple[tuple[str, ...], ...]
+
+
+def number(value: float | None, digits: int = 4) -> str:
+    return "" if value is None or not np.isfinite(value) else f"{value:.{digits}g}"
+
+
+def fixed(value: float | None, digits: int) -> str:
+    return "" if value is None else f"{value:.{digits}f}"
+
+
+def comparison_table(methods: Sequence[MethodScore], raw: MethodScore | None = None) -> Table:
+    """One row a method; only what was measured has columns."""
+    rows = [*([raw] if raw else []), *methods]
+    turned, moved = rows[0].mean_deg is not None, rows[0].mean_mm is not None
+    columns, cells = ["method"], [[row.name] for row in rows]
+    if turned:
+        columns += ["mean [deg]", "max [deg]", "SD [deg]", "x [deg]", "y [deg]", "z [deg]"]
+        for line, row in zip(cells, rows, strict=True):
+            line += [fixed(v, 5) for v in (row.mean_deg, row.max_deg, row.sd_deg, *row.axis_mean_deg.values())]
+    if moved:
+        columns += ["mean [mm]", "max [mm]", "SD [mm]"]
+        for line, row in zip(cells, rows, strict=True):
+            line += [fixed(v, 4) for v in (row.mean_mm, row.max_mm, row.sd_mm)]
+    return Table(tuple(columns), tuple(tuple(line) for line in cells))
+
+
+def parameter_table(found: Identification) -> Table:
+    """One row a parameter, in millimetres and degrees."""
+    rows = []
+    for k, name in enumerate(found.names):
+        unit, factor = _HUMAN[found.units[k]]
+        nominal, change, std = found.nominal[k] * factor, found.change[k] * factor, found.std[k] * factor
+        interval = f"{nominal + change - _Z95 * std:.6g} .. {nominal + change + _Z95 * std:.6g}" if np.isfinite(std) else ""
+        seen = "yes" if found.identifiable[k] else f"{100 * found.observable_share[k]:.0f} %"
+        rows.append((name, unit, f"{nominal:.6g}", f"{nominal + change:.6g}", number(change), number(std, 3), interval, seen))
+    return Table(("parameter", "unit", "nominal", "identified", "change", "sigma", "95 % interval", "identifiable"), tuple(rows))
+
+
+def parameters_json(robot: str, found: Identification) -> dict[str, Any]:
+    """The document of `inspect --json`: SI units and radians; null where neither data nor prior see a parameter."""
+
+    def finite(value: float) -> float | None:
+        return float(value) if np.isfinite(value) else None
+
+    parameters = []
+    for k, name in enumerate(found.names):
+        identified, std = found.nominal[k] + found.change[k], found.std[k]
+        parameters.append(
+            {
+                "name": name,
+                "unit": found.units[k],
+                "nominal": float(found.nominal[k]),
+                "identified": float(identified),
+                "change": float(found.change[k]),
+                "std": finite(std),
+                "low": finite(identified - _Z95 * std),
+                "high": finite(identified + _Z95 * std),
+                "identifiable": bool(found.identifiable[k]),
+                "observable_share": float(found.observable_share[k]),
+                "tolerance": finite(found.tolerance[k]),
+            }
+        )
+    return {
+        "robot": robot,
+        "n_poses": found.n_poses,
+        "channels": list(found.channels),
+        "rank": found.rank,
+        "n_parameters": len(found.names),
+        "condition_number": finite(found.condition_number),
+        "rank_tolerance": found.rank_tolerance,
+        "singular_values": found.singular_values.tolist(),
+        "parameters": parameters,
+        "unobservable": list(found.unobservable),
+        "chi_square": found.chi_square,
+        "degrees_of_freedom": found.degrees_of_freedom,
+        "iterations": found.iterations,
+        "residual_rms": vars(found.residual_size),
+        "outliers": [vars(outlier) for outlier in found.outliers],
+    }

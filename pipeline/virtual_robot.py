@@ -1,0 +1,107 @@
+"""A robot with known errors that measures itself.
+
+Geometric errors are drawn from the tolerances, on every placement and actuator; W and T are off by a degree. Legs give
+under a payload, actuators have screw (or gear) errors; both shift the actuated joints, the loops stay closed.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from identification.error_model import BuiltRobot, ErrorModel
+from identification.measurements import quaternions
+from pipeline.results import Truth
+from urdf.description import Sensor, VirtualErrors
+from urdf.kinematics import forward, passive_rates, tool_point_jacobian
+from urdf.rigid_motion import Motion, exp
+
+GRAVITY = 9.80665  # m/s^2
+_SETTLING = 3  # iterations of load and deflection; each gains some four digits
+
+
+def draw(model: ErrorModel, errors: VirtualErrors, seed: int) -> Truth:
+    """A robot at random."""
+    random = np.random.default_rng([seed, 1])
+    parameters = model.parameters
+    p = random.normal(size=len(parameters)) * np.where(parameters.flat, 0.0, parameters.tolerance)
+    if not errors.geometric:
+        p[:] = 0.0
+    for frame in (p[-12:-6], p[-6:]):
+        for part, size in ((slice(0, 3), errors.frame_translation_mm * 1e-3), (slice(3, 6), np.deg2rad(errors.frame_rotation_deg))):
+            direction = random.normal(size=3)
+            frame[part] = size * direction / np.linalg.norm(direction)
+    return Truth(p, random.uniform(0, 2 * np.pi, len(model.actuators.gain)), errors)
+
+
+@dataclass(frozen=True)
+class VirtualRobot:
+    """The robot as built, its non-geometric errors included."""
+
+    robot: BuiltRobot
+    truth: Truth
+    home: np.ndarray  # (n_actuated,) nominal joint values at home
+
+    @staticmethod
+    def of(model: ErrorModel, truth: Truth) -> VirtualRobot:
+        return VirtualRobot(model.robot(truth.p), truth, model.chain.home[model.chain.actuated])
+
+    def pose(self, readings: np.ndarray) -> Motion:
+        """The true poses (n) in the measurement frame at the actuators' readings (n, n_actuated)."""
+        chain, errors = self.robot.chain, self.truth.errors
+        commanded = self.robot.actuators.joints(readings)
+        if errors.screw:
+            commanded = commanded + self._screw(commanded)
+        closure = forward(chain, commanded)
+        if errors.elastic:
+            for _ in range(_SETTLING):
+                closure = forward(chain, commanded + self._deflection(closure.q), closure.q)
+        closure.require(lambda row: f"virtual robot: readings of row {row}")
+        return self.robot.measured(closure.pose)
+
+    def _screw(self, joints: np.ndarray) -> np.ndarray:
+        """A periodic and a quadratic error of each actuator [m or rad]."""
+        errors, sliding = self.truth.errors, self.robot.chain.prismatic[self.robot.chain.actuated]
+        amplitude = np.where(sliding, errors.screw_amplitude_mm * 1e-3, np.deg2rad(errors.gear_amplitude_deg))
+        period = np.where(sliding, errors.screw_period_mm * 1e-3, np.deg2rad(errors.gear_period_deg))
+        quadratic = np.where(sliding, errors.screw_quadratic_per_m, errors.gear_quadratic_per_rad)
+        return amplitude * np.sin(2 * np.pi * joints / period + self.truth.phase) + quadratic * (joints - self.home) ** 2
+
+    def _deflection(self, q: np.ndarray) -> np.ndarray:
+        """How far each actuator gives under the payload's weight, by virtual work: -m g (dz / dq) / stiffness."""
+        chain, errors = self.robot.chain, self.truth.errors
+        up = chain.base.rotation @ self.robot.instrument.rotation.T[:, 2]  # vertical is the instrument's z
+        centre = np.array(errors.payload_centre_mm) * 1e-3
+        height = np.einsum("i,nij,njk->nk", up, tool_point_jacobian(chain, q, centre), passive_rates(chain, q))
+        sliding = chain.prismatic[chain.actuated]
+        stiffness = np.where(sliding, errors.stiffness_n_per_m, errors.stiffness_nm_per_rad)
+        return -errors.payload_kg * GRAVITY * height / stiffness
+
+
+def default_channels(tool_axes: tuple[int, ...]) -> tuple[str, ...]:
+    """All that can move: orientation where the robot turns its tool, position where it carries it."""
+    return tuple(c for c, axes in (("orientation", (3, 4, 5)), ("position", (0, 1, 2))) if set(axes) & set(tool_axes))
+
+
+def measure(pose: Motion, channels: tuple[str, ...], sensor: Sensor, seed: int) -> dict[str, np.ndarray]:
+    """Columns of a measurement table: true poses (n) with each sensor's noise."""
+    random = np.random.default_rng([seed, 2])
+    n = len(pose.translation)
+    columns: dict[str, np.ndarray] = {}
+    if "orientation" in channels:
+        noise = np.deg2rad(sensor.orientation_deg) * random.normal(size=(n, 3))
+        columns |= dict(zip(("qx", "qy", "qz", "qw"), quaternions(pose.rotation @ exp(noise)).T, strict=True))
+    if "position" in channels:
+        noise = sensor.position_mm * 1e-3 * random.normal(size=(n, 3))
+        columns |= dict(zip("xyz", (pose.translation + noise).T, strict=True))
+    r = pose.rotation
+    if "tilt" in channels:
+        noise = np.deg2rad(sensor.tilt_deg) * random.normal(size=(n, 2))
+        columns["roll"] = np.arctan2(r[:, 2, 1], r[:, 2, 2]) + noise[:, 0]
+        columns["pitch"] = -np.arcsin(r[:, 2, 0]) + noise[:, 1]
+    if "yaw" in channels:
+        columns["yaw"] = np.arctan2(r[:, 1, 0], r[:, 0, 0]) + np.deg2rad(sensor.yaw_deg) * random.normal(size=n)
+    return columns
+
+
