@@ -12,6 +12,7 @@ from identification.error_model import Parameters
 RANK_TOLERANCE = 1e-9  # relative to the largest singular value
 _FLAT_SCALE = 1e-3  # W and T have no tolerance: one millimetre, one milliradian
 _SHARE = 1e-6
+_TERMS = 5  # of a direction, written out
 
 
 @dataclass(frozen=True)
@@ -60,6 +61,6 @@ def _written(direction: np.ndarray, scaled: np.ndarray, pivot: int, parameters: 
     others = [j for j in np.argsort(-np.abs(scaled)) if j != pivot and abs(scaled[j]) > 1e-6]
     if not others:
         return f"{parameters.names[pivot]} is not seen at all"
-    terms = [f"{direction[j]:+.4g} {parameters.names[j]}" for j in others[:8]]
-    more = f" (and {len(others) - 8} smaller)" if len(others) > 8 else ""
+    terms = [f"{direction[j]:+.3g} {parameters.names[j]}" for j in others[:_TERMS]]
+    more = f" and {len(others) - _TERMS} smaller" if len(others) > _TERMS else ""
     return f"{parameters.names[pivot]} trades against {' '.join(terms)}{more}"

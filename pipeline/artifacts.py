@@ -210,14 +210,28 @@ class Store:
     def remember(self, robot: str, stage: str, key: str) -> None:
         reference = self._reference(robot, stage)
         content = json.dumps({"key": key}).encode()
-        if reference.is_file() and reference.read_bytes() == content:
-            return
+        if not (reference.is_file() and reference.read_bytes() == content):
+            self._replace(reference, content)
+
+    def read_memo(self) -> dict[str, Any]:
+        """What was found out about source files, by their digests; empty where that file is damaged."""
+        sealed = _read_json(self.root / "code.json")
+        if not isinstance(sealed, dict) or sealed.get("seal") != digest(sealed.get("memo")):
+            return {}
+        return sealed["memo"]
+
+    def write_memo(self, memo: Mapping[str, Any]) -> None:
+        if self.read_memo() != json.loads(canonical(memo)):
+            self._replace(self.root / "code.json", json.dumps({"memo": memo, "seal": digest(memo)}).encode())
+
+    def _replace(self, file: Path, content: bytes) -> None:
+        """Write a small file at once or not at all."""
         temporary = self.root / "tmp" / uuid.uuid4().hex
         with self._writing(temporary):
             temporary.parent.mkdir(parents=True, exist_ok=True)
-            reference.parent.mkdir(parents=True, exist_ok=True)
+            file.parent.mkdir(parents=True, exist_ok=True)
             _write(temporary, content)
-            temporary.replace(reference)
+            temporary.replace(file)
 
     @contextmanager
     def lock(self, stage: str, key: str) -> Iterator[None]:

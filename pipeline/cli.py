@@ -8,7 +8,7 @@ import sys
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 from cyclopts import App, CycloptsError, Parameter
 from rich.console import Console
@@ -23,7 +23,8 @@ app = App(
     help_format="plaintext",
     version_flags=["--version"],
 )
-out = Console(highlight=False, soft_wrap=False)
+# A fixed width: a pipe has none, and a terminal wraps a long line better than rich cuts a table.
+out = Console(highlight=False, width=300)
 err = Console(stderr=True, highlight=False)
 
 
@@ -64,7 +65,7 @@ def run(
         _print_json(_comparison_json(compared))
         return
     _show_comparison(compared)
-    out.print(Text(f"report: {_short(report)}"), soft_wrap=True)
+    out.print(Text(f"report: {_short(report)}"))
 
 
 @app.command
@@ -103,7 +104,8 @@ def inspect(robot: str, *, json: Json = False, common: Common | None = None) -> 
     if json:
         _print_json(parameters_json(name, found))
         return
-    _show_table(parameter_table(found), f"{name}: parameters identified from {found.n_poses} poses ({', '.join(found.channels)})")
+    out.print(f"{name}: parameters identified from {found.n_poses} poses ({', '.join(found.channels)})", style="bold")
+    _show_table(parameter_table(found))
     out.print(
         f"rank {found.rank} of {len(found.names)} parameters, condition number {found.condition_number:.3g}; "
         f"chi-square {found.chi_square:.4g} over {found.degrees_of_freedom:.1f} degrees of freedom"
@@ -129,7 +131,7 @@ def status(robot: str, *, json: Json = False, common: Common | None = None) -> N
         return
     from pipeline.tables import Table
 
-    _show_table(Table(("stage", "state", "why"), tuple(rows)), robot, align="left")
+    _show_table(Table(("stage", "state", "why"), tuple(rows)), align="left")
 
 
 @app.command
@@ -235,26 +237,25 @@ def _comparison_json(compared) -> dict[str, Any]:
 
 
 def _show_comparison(compared) -> None:
-    from pipeline.tables import comparison_table
+    from pipeline.tables import comparison_tables
 
     source = "virtual robot" if compared.source == "virtual" else compared.source
     scored = {
         "fresh": f"{compared.n_scored} fresh poses, noise-free truth",
         "held_out": f"{compared.n_scored} measured poses, each held out once (cross-validation)",
     }.get(compared.scored_on, f"{compared.scored_on}, {compared.n_scored} poses")
-    title = f"{compared.robot}: {compared.n_poses} measured poses ({source}), scored on {scored}"
-    _show_table(comparison_table(compared.methods, compared.raw_nominal), title)
+    out.print(Text(f"{compared.robot}: {compared.n_poses} measured poses ({source}), scored on {scored}", style="bold"))
+    for table in comparison_tables(compared.methods, compared.raw_nominal):
+        _show_table(table)
 
 
-def _show_table(table, title: str, align: str = "right") -> None:
+def _show_table(table, align: Literal["left", "right"] = "right") -> None:
     shown = RichTable(box=None, pad_edge=False, header_style="bold")
     for k, column in enumerate(table.columns):
-        shown.add_column(column, justify="left" if k == 0 or align == "left" else "right", no_wrap=not (align == "left" and k == 2))
+        shown.add_column(Text(column), justify="left" if k == 0 else align, no_wrap=True)
     for row in table.rows:
         shown.add_row(*(Text(cell) for cell in row))
-    out.print(Text(title, style="bold"))
-    # A pipe has no width: a table that is cut there is lost.
-    out.print(shown, width=None if out.is_terminal else 200)
+    out.print(shown)
 
 
 def _show_outliers(found) -> None:

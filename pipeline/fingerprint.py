@@ -8,91 +8,129 @@ from __future__ import annotations
 
 import ast
 import hashlib
-from functools import lru_cache
+import symtable
+import sys
+from collections.abc import Iterable
+from dataclasses import dataclass, field
 from pathlib import Path
 
 ROOT = Path(__file__).parent.parent
 PACKAGES = ("urdf", "identification", "learning", "pipeline")
+_WHOLE = ""  # the unit that is a whole module
+
+Facts = dict[str, tuple[str, list[str]]]  # {function or _WHOLE: (digest, the project's modules that it imports)}
 
 
-def fingerprint(module: str, function: str, root: Path = ROOT) -> dict[str, str]:
-    """{unit of code: digest} of a stage function, by name, in a project module."""
-    parsed = _parse(module, root)
-    definitions = {n.name: n for n in parsed.body if isinstance(n, (ast.FunctionDef, ast.ClassDef))}
-    assignments = {t.id: n for n in parsed.body if isinstance(n, ast.Assign) for t in n.targets if isinstance(t, ast.Name)}
-    imports = _bindings(parsed, root)
-    named, queue, imported = {}, [function], set()
-    while queue:
-        name = queue.pop()
-        node = definitions.get(name) or assignments.get(name)
-        if name in imports:
-            imported.update(imports[name])
-        if node is None or name in named:
-            continue
-        named[name] = ast.dump(node)
-        imported.update(m for found in _bindings(node, root).values() for m in found)
-        queue += [n.id for n in ast.walk(node) if isinstance(n, ast.Name)]
-    own = hashlib.sha256("\n".join(named[n] for n in sorted(named)).encode()).hexdigest()
-    return {f"{module}:{function}": own} | {m: _digest(m, root) for m in sorted(_closure(imported, root))}
+@dataclass
+class Code:
+    """The project's code below `root`. `memo` holds what was found before, by the source's own digest."""
+
+    root: Path = ROOT
+    memo: dict[str, Facts] = field(default_factory=dict)
+    used: dict[str, Facts] = field(default_factory=dict)
+    _facts: dict[str, Facts] = field(default_factory=dict)
+
+    def fingerprint(self, module: str, function: str) -> dict[str, str]:
+        """{unit of code: digest} of a stage function, by name, in a project module."""
+        digest, imports = self._of(module)[function]
+        found = {f"{module}:{function}": digest}
+        queue = list(imports)
+        while queue:
+            name = queue.pop()
+            if name not in found:
+                found[name], imports = self._of(name)[_WHOLE]
+                queue += imports
+        return dict(sorted(found.items()))
+
+    def _of(self, module: str) -> Facts:
+        if module not in self._facts:
+            file = _file(module, self.root)
+            source = file.read_bytes() if file else b""
+            # Page templates that a module loads by its own name are part of it.
+            templates = sorted((file.parent / "templates").glob(f"{file.stem}.*")) if file else []
+            extra = b"\0".join(t.read_bytes() for t in templates)
+            version = f"{module} {sys.version_info[:2]} ".encode()
+            key = hashlib.sha256(version + source + b"\0" + extra).hexdigest()
+            if key not in self.memo:
+                self.memo[key] = _analyse(source, extra, self.root)
+            self._facts[module] = self.used[key] = self.memo[key]
+        return self._facts[module]
 
 
-def _closure(modules: set[str], root: Path) -> set[str]:
-    found, queue = set(), list(modules)
-    while queue:
-        module = queue.pop()
-        if module not in found:
-            found.add(module)
-            queue += [m for names in _bindings(_parse(module, root), root).values() for m in names]
+def _analyse(source: bytes, extra: bytes, root: Path) -> Facts:
+    parsed = ast.parse(source)
+    _strip_docstrings(parsed)
+    facts: Facts = {_WHOLE: (_sha(ast.dump(parsed).encode() + extra), _modules(parsed, root))}
+    named = {n.name: n for n in parsed.body if isinstance(n, (ast.FunctionDef, ast.ClassDef))}
+    assigned = {t.id: n for n in parsed.body if isinstance(n, ast.Assign) for t in n.targets if isinstance(t, ast.Name)}
+    top = [n for n in ast.walk(ast.Module([n for n in parsed.body if n not in named.values()], [])) if _is_import(n)]
+    bound = {alias.asname or alias.name.partition(".")[0]: node for node in top for alias in node.names}
+    scopes = {t.get_name(): t for t in symtable.symtable(source.decode(), "<source>", "exec").get_children()}
+    for name in named:
+        seen: dict[str, ast.AST] = {}
+        queue = [name]
+        while queue:
+            part = queue.pop()
+            node = named.get(part) or assigned.get(part) or bound.get(part)
+            if node is not None and part not in seen:
+                seen[part] = node
+                queue += _globals(node, scopes.get(part))
+        text = "\n".join(ast.dump(seen[part]) for part in sorted(seen))
+        facts[name] = (_sha(text.encode()), sorted({m for node in seen.values() for m in _modules(node, root)}))
+    return facts
+
+
+def _globals(node: ast.AST, scope: symtable.SymbolTable | None) -> list[str]:
+    """The module-level names that a definition uses: Python's own scoping for bodies, every name elsewhere."""
+    if scope is None:
+        return [n.id for n in ast.walk(node) if isinstance(n, ast.Name)]
+    found, scopes = [], [scope]
+    while scopes:
+        table = scopes.pop()
+        found += [s.get_name() for s in table.get_symbols() if s.is_global()]
+        scopes += table.get_children()
+    # Annotations, defaults, decorators and bases are evaluated outside the body.
+    for inner in ast.walk(node):
+        parts = [getattr(inner, "annotation", None), getattr(inner, "returns", None)]
+        parts += [*getattr(inner, "decorator_list", []), *getattr(inner, "bases", [])]
+        parts += [*getattr(inner, "defaults", []), *getattr(inner, "kw_defaults", [])]
+        found += [n.id for part in parts if part is not None for n in ast.walk(part) if isinstance(n, ast.Name)]
     return found
 
 
-def _bindings(node: ast.AST, root: Path) -> dict[str, tuple[str, ...]]:
-    """{name: project modules that it comes from} of every import below `node`."""
-    bound: dict[str, tuple[str, ...]] = {}
+def _sha(content: bytes) -> str:
+    return hashlib.sha256(content).hexdigest()
+
+
+def _strip_docstrings(parsed: ast.Module) -> None:
+    for node in ast.walk(parsed):
+        if isinstance(node, (ast.Module, ast.ClassDef, ast.FunctionDef, ast.AsyncFunctionDef)) and node.body:
+            first = node.body[0]
+            if isinstance(first, ast.Expr) and isinstance(first.value, ast.Constant) and isinstance(first.value.value, str):
+                node.body = node.body[1:]
+
+
+def _is_import(node: ast.AST) -> bool:
+    return isinstance(node, (ast.Import, ast.ImportFrom))
+
+
+def _modules(node: ast.AST, root: Path) -> list[str]:
+    """The project's modules that anything below `node` imports, their packages included: importing one runs those."""
+    found: set[str] = set()
     for statement in ast.walk(node):
+        names: Iterable[str] = ()
         if isinstance(statement, ast.ImportFrom) and statement.module and statement.level == 0:
-            for alias in statement.names:
-                inner = f"{statement.module}.{alias.name}"
-                modules = [statement.module] + ([inner] if _file(inner, root) else [])
-                _bind(bound, alias.asname or alias.name, modules)
+            inner = (f"{statement.module}.{alias.name}" for alias in statement.names)
+            names = [statement.module, *(m for m in inner if m.partition(".")[0] in PACKAGES and _file(m, root))]
         elif isinstance(statement, ast.Import):
-            for alias in statement.names:
-                _bind(bound, (alias.asname or alias.name).partition(".")[0], [alias.name])
-    return bound
-
-
-def _bind(bound: dict[str, tuple[str, ...]], name: str, modules: list[str]) -> None:
-    """The project's modules among `modules`, their packages included: importing one runs those too."""
-    ours: list[str] = []
-    for module in modules:
-        parts = module.split(".")
-        if parts[0] in PACKAGES:
-            ours += [".".join(parts[:k]) for k in range(1, len(parts) + 1)]
-    if ours:
-        bound[name] = (*bound.get(name, ()), *ours)
+            names = [alias.name for alias in statement.names]
+        for name in names:
+            parts = name.split(".")
+            if parts[0] in PACKAGES:
+                found.update(".".join(parts[:k]) for k in range(1, len(parts) + 1))
+    return sorted(found)
 
 
 def _file(module: str, root: Path) -> Path | None:
     base = root / module.replace(".", "/")
     return next((f for f in (base.with_suffix(".py"), base / "__init__.py") if f.is_file()), None)
-
-
-@lru_cache(maxsize=256)
-def _parse(module: str, root: Path) -> ast.Module:
-    file = _file(module, root)
-    parsed = ast.parse(file.read_text(encoding="utf-8") if file else "")
-    for node in ast.walk(parsed):
-        if isinstance(node, (ast.Module, ast.ClassDef, ast.FunctionDef, ast.AsyncFunctionDef)):
-            first = node.body[0] if node.body else None
-            if isinstance(first, ast.Expr) and isinstance(first.value, ast.Constant) and isinstance(first.value.value, str):
-                node.body = node.body[1:]
-    return parsed
-
-
-@lru_cache(maxsize=256)
-def _digest(module: str, root: Path) -> str:
-    # Data that a module loads by its own name (page templates) is part of it.
-    file = _file(module, root)
-    templates = sorted((file.parent / "templates").glob(f"{file.stem}.*")) if file else []
-    content = [ast.dump(_parse(module, root)).encode(), *(t.read_bytes() for t in templates)]
-    return hashlib.sha256(b"\n".join(content)).hexdigest()

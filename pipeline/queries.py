@@ -88,7 +88,7 @@ def evaluated(session: Run, file: Path, columns: Path | None, *, register: bool,
     channels = measured.channels
     return Comparison(
         robot=description.name,
-        source=file.name,
+        source=session.until("measure")[0].source,
         n_poses=identified.shipped.n_poses,
         n_scored=len(measured),
         scored_on=str(file),

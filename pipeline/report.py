@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 
 from pipeline.fingerprint import ROOT
 from pipeline.results import Comparison, Identified, Measured, Model
-from pipeline.tables import comparison_table, parameter_table
+from pipeline.tables import comparison_tables, parameter_table
 
 _STYLE = {"svg.hashsalt": "kincal", "svg.fonttype": "none", "font.size": 9, "font.family": "sans-serif"}
 _BLUE, _RED, _GREY = "#1f5fa8", "#b3261e", "#767676"
@@ -36,8 +36,8 @@ def page(model: Model, measured: Measured, identified: Identified, compared: Com
         measured=measured,
         shipped=identified.shipped,
         compared=compared,
-        comparison=comparison_table(compared.methods, compared.raw_nominal),
-        held_out=comparison_table(compared.held_out),
+        comparison=comparison_tables(compared.methods, compared.raw_nominal),
+        held_out=comparison_tables(compared.held_out),
         parameters=parameter_table(identified.shipped),
         **figures,
     )

@@ -8,7 +8,7 @@ import time
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import lru_cache
-from importlib.metadata import version
+from importlib import metadata
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +16,7 @@ from pydantic_core import to_jsonable_python
 
 from pipeline import results, stages
 from pipeline.artifacts import Damaged, Entry, Store, digest
-from pipeline.fingerprint import fingerprint
+from pipeline.fingerprint import Code
 from urdf.description import PATHS, Robot
 from urdf.errors import InputError
 
@@ -46,6 +46,11 @@ def all_stages() -> dict[str, Stage]:
         settings = tuple(name for name in kinds if name not in inputs)
         found[function.__name__] = Stage(function.__name__, function, inputs, settings, libraries)
     return found
+
+
+@lru_cache
+def version(library: str) -> str:
+    return metadata.version(library)
 
 
 def needed(until: str) -> list[Stage]:
@@ -80,6 +85,7 @@ class Run:
     observe: Callable[[Event], None] = lambda event: None
     command: str = ""
     _entries: dict[str, Entry] = field(default_factory=dict)
+    _code: Code | None = None
 
     @property
     def robot_id(self) -> str:
@@ -93,7 +99,14 @@ class Run:
         for stage in (s for s in all_stages().values() if s.name in wanted):
             forced = forced or stage.name == self.force_from
             self._bring(stage, forced)
+        self.store.write_memo(self.code.used)
         return [self._value(all_stages()[name]) for name in names]
+
+    @property
+    def code(self) -> Code:
+        if self._code is None:
+            self._code = Code(memo=self.store.read_memo())
+        return self._code
 
     def artifact(self, name: str) -> Path:
         """The folder of a stage's result that this run has brought up to date."""
@@ -154,7 +167,7 @@ class Run:
                 table[key] = "(file)"
         return {
             "stage": stage.name,
-            "code": fingerprint(stages.__name__, stage.name),
+            "code": self.code.fingerprint(stages.__name__, stage.name),
             "settings": settings,
             "files": files,
             "inputs": {source: self._entries[source].digest for source in stage.inputs.values()},

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -29,20 +29,21 @@ def fixed(value: float | None, digits: int) -> str:
     return "" if value is None else f"{value:.{digits}f}"
 
 
-def comparison_table(methods: Sequence[MethodScore], raw: MethodScore | None = None) -> Table:
-    """One row a method; only what was measured has columns."""
+def comparison_tables(methods: Sequence[MethodScore], raw: MethodScore | None = None) -> tuple[Table, ...]:
+    """One row a method: orientation errors, then position errors; only what was measured has a table."""
     rows = [*([raw] if raw else []), *methods]
-    turned, moved = rows[0].mean_deg is not None, rows[0].mean_mm is not None
-    columns, cells = ["method"], [[row.name] for row in rows]
-    if turned:
-        columns += ["mean [deg]", "max [deg]", "SD [deg]", "x [deg]", "y [deg]", "z [deg]"]
-        for line, row in zip(cells, rows, strict=True):
-            line += [fixed(v, 5) for v in (row.mean_deg, row.max_deg, row.sd_deg, *row.axis_mean_deg.values())]
-    if moved:
-        columns += ["mean [mm]", "max [mm]", "SD [mm]"]
-        for line, row in zip(cells, rows, strict=True):
-            line += [fixed(v, 4) for v in (row.mean_mm, row.max_mm, row.sd_mm)]
-    return Table(tuple(columns), tuple(tuple(line) for line in cells))
+    found = []
+    if rows and rows[0].mean_deg is not None:
+        cells = ([fixed(v, 5) for v in (r.mean_deg, r.max_deg, r.sd_deg, *r.axis_mean_deg.values())] for r in rows)
+        found.append(_by_method(rows, ("mean [deg]", "max [deg]", "SD [deg]", "x [deg]", "y [deg]", "z [deg]"), cells))
+    if rows and rows[0].mean_mm is not None:
+        cells = ([fixed(v, 4) for v in (r.mean_mm, r.max_mm, r.sd_mm)] for r in rows)
+        found.append(_by_method(rows, ("mean [mm]", "max [mm]", "SD [mm]"), cells))
+    return tuple(found)
+
+
+def _by_method(rows: Sequence[MethodScore], columns: tuple[str, ...], cells: Iterable[list[str]]) -> Table:
+    return Table(("method", *columns), tuple((r.name, *line) for r, line in zip(rows, cells, strict=True)))
 
 
 def parameter_table(found: Identification) -> Table:

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import qmc
 
 from urdf.closed_chain import ClosedChain
 from urdf.description import Workspace
@@ -40,11 +39,13 @@ def grid(workspace: Workspace, axes: tuple[int, ...], counts: list[int]) -> np.n
 
 def sample(workspace: Workspace, axes: tuple[int, ...], n: int, seed: int | list[int], even: bool = False) -> np.ndarray:
     """Tool coordinates (n, 6) spread over the workspace: uniformly at random, or evenly (scrambled Sobol points)."""
-    unit = (
-        qmc.Sobol(len(axes), rng=np.random.default_rng(seed)).random_base2(int(np.ceil(np.log2(max(n, 2)))))[:n]
-        if even
-        else np.random.default_rng(seed).random((n, len(axes)))
-    )
+    random = np.random.default_rng(seed)
+    if even:
+        from scipy.stats import qmc  # takes half a second to import
+
+        unit = qmc.Sobol(len(axes), rng=random).random_base2(int(np.ceil(np.log2(max(n, 2)))))[:n]
+    else:
+        unit = random.random((n, len(axes)))
     low, high = bounds(workspace).T
     return _full(low + unit * (high - low), axes)
 
