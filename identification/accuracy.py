@@ -45,19 +45,19 @@ def score(actual: Motion, predicted: Motion, channels: tuple[str, ...]) -> Score
     Tilt without a heading is scored by the angle between the gravity directions, and about z there is nothing.
     """
     full = "orientation" in channels or ("tilt" in channels and "yaw" in channels)
-    turned: list[float | None] = [None] * 3
+    turned: tuple[float | None, float | None, float | None] = (None, None, None)
     axes: list[float | None] = [None] * 3
     if full or "tilt" in channels:
         error = np.rad2deg((orientation_error if full else gravity_error)(actual.rotation, predicted.rotation))
         turned = _statistics(np.linalg.norm(error, axis=1))
         axes = [float(np.mean(np.abs(error[:, k]))) for k in range(3)]
         axes[2] = axes[2] if full else None
-    moved: list[float | None] = [None] * 3
+    moved: tuple[float | None, float | None, float | None] = (None, None, None)
     if "position" in channels:
         moved = _statistics(1e3 * np.linalg.norm(predicted.translation - actual.translation, axis=1))
     return Score(*turned, dict(zip("xyz", axes, strict=True)), *moved)
 
 
-def _statistics(values: np.ndarray) -> list[float | None]:
+def _statistics(values: np.ndarray) -> tuple[float, float, float]:
     """Mean, maximum and standard deviation over all poses."""
-    return [float(np.mean(values)), float(np.max(values)), float(np.std(values))]
+    return float(np.mean(values)), float(np.max(values)), float(np.std(values))

@@ -2,7 +2,7 @@
 
 Every joint placement (6 numbers), both frames of every loop (3 each for a point loop, 6 for a frame loop), every
 actuator's zero and gain, and both measurement frames may be wrong. Predicted = W * tool pose * T, with W (base to
-instrument, `instrument`) and T (tool to target, `target`). Passive joints follow from phi(q_active, q_passive, p) = 0, so
+instrument, `instrument`) and T (tool to target, `target`). Passive joints follow from phi(q_active, q_passive, p) = 0:
 
     d q_passive / d p = -(d phi / d q_passive)^-1 (d phi / d p)      (Huang et al. 2019, Mech. Mach. Theory 131)
 """
@@ -132,7 +132,9 @@ class ErrorModel:
         chain = self.chain
         if chain.n_equations:
             passive = chain.passive
-            adjoint = np.linalg.solve(phi_q[:, :, passive].swapaxes(1, 2), r_q[:, :, passive].swapaxes(1, 2)).swapaxes(1, 2)
+            adjoint = np.linalg.solve(phi_q[:, :, passive].swapaxes(1, 2), r_q[:, :, passive].swapaxes(1, 2)).swapaxes(
+                1, 2
+            )
             r_q = r_q[:, :, chain.actuated] - adjoint @ phi_q[:, :, chain.actuated]
             r_x = r_x - adjoint @ phi_x
         else:
@@ -140,7 +142,9 @@ class ErrorModel:
         n_bodies = len(chain.rotation)
         r_x = _chain_rotations(r_x, p, self._split(p))
         bodies = r_x[:, :, : 6 * n_bodies][:, :, _kept(chain)]
-        return residual, np.concatenate([bodies, r_q, r_q * measured.readings[:, None, :], r_x[:, :, 6 * n_bodies :]], axis=2)
+        return residual, np.concatenate(
+            [bodies, r_q, r_q * measured.readings[:, None, :], r_x[:, :, 6 * n_bodies :]], axis=2
+        )
 
     def _split(self, p: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, tuple[np.ndarray, np.ndarray]]:
         """Placement changes (n_bodies, 6), zeros, gains, and the vectors of W and T."""
@@ -212,15 +216,15 @@ class _Batched:
         n = len(q)
         function = self._mapped(n)
         buffer, run = function.buffer()
-        constants = np.concatenate([_pack(robot.chain.rotation, robot.chain.translation),
-                                    *(_pack(m.rotation, m.translation) for m in (robot.instrument, robot.target))])  # fmt: skip
+        frames = [_pack(m.rotation, m.translation) for m in (robot.instrument, robot.target)]
+        constants = np.concatenate([_pack(robot.chain.rotation, robot.chain.translation), *frames])
         inputs = [np.ascontiguousarray(q, dtype=float), constants, _observations(measured)]
         for k, value in enumerate(inputs):
-            buffer.set_arg(k, memoryview(value))
+            buffer.set_arg(k, memoryview(value))  # pyright: ignore
         outputs = []
         for k in range(self._function.n_out()):
             outputs.append(np.zeros((n, self._function.nnz_out(k))))
-            buffer.set_res(k, memoryview(outputs[-1]))
+            buffer.set_res(k, memoryview(outputs[-1]))  # pyright: ignore
         run()
         return [self._dense(k, values) for k, values in enumerate(outputs)]
 
@@ -277,7 +281,12 @@ def _symbolic(chain: ClosedChain, channels: tuple[str, ...], derivatives: bool) 
     residual, observed = _residual(channels, rotation, translation)
     outputs = [residual]
     if derivatives:
-        outputs += [ca.jacobian(residual, q), ca.jacobian(residual, xi), ca.jacobian(phi, q), ca.jacobian(phi, xi[: 6 * n_bodies])]
+        outputs += [
+            ca.jacobian(residual, q),
+            ca.jacobian(residual, xi),
+            ca.jacobian(phi, q),
+            ca.jacobian(phi, xi[: 6 * n_bodies]),
+        ]
         # W and T move no loop: their columns of d phi / d xi are zero, and stay so
         outputs[-1] = ca.horzcat(outputs[-1], ca.SX(phi.shape[0], 12))
     outputs = ca.substitute(outputs, [xi], [ca.SX.zeros(xi.shape)])

@@ -54,7 +54,9 @@ def register(model: ErrorModel, measured: Measurements, max_iterations: int = 50
     return _best(found, "registration of W and T")
 
 
-def refit(model: ErrorModel, measured: Measurements, p: np.ndarray, free: np.ndarray, max_iterations: int = 50) -> Estimate:
+def refit(
+    model: ErrorModel, measured: Measurements, p: np.ndarray, free: np.ndarray, max_iterations: int = 50
+) -> Estimate:
     """Fit the parameters `free` (bool) anew from p, the others held; W from a closed-form start where it is free.
 
     For an instrument that was set up anew, or a robot that was homed anew. Free parameters have no prior here.
@@ -117,7 +119,9 @@ def _minimise(
         trial_cost = np.inf if trial is None else _cost(trial, p + step, sigma)
         small = np.max(np.abs(step[free]) / scale) < _STEP
         if trial is not None and trial_cost <= cost * (1 + 1e-12):
-            success = bool(small or (cost - trial_cost < _COST * cost and cost - trial_cost < _LEVEL and damping < 1e-3))
+            success = bool(
+                small or (cost - trial_cost < _COST * cost and cost - trial_cost < _LEVEL and damping < 1e-3)
+            )
             p, here, cost, damping = p + step, trial, trial_cost, (damping / 10 if damping > 1e-9 else 0.0)
         elif small:
             success = True  # the minimum to rounding
@@ -137,7 +141,7 @@ def _factor(at: Linearisation, p: np.ndarray, sigma: np.ndarray, free: np.ndarra
     prior = np.diag(scale / sigma[free])
     stacked = np.concatenate([at.jacobian[:, free] * scale, prior])
     right = np.concatenate([at.residual, p[free] / sigma[free]])
-    triangle = np.linalg.qr(np.column_stack([stacked, right]), mode="r")
+    triangle = np.asarray(np.linalg.qr(np.column_stack([stacked, right]), mode="r"))
     u, singular, vt = np.linalg.svd(triangle[:, :-1], full_matrices=False)
     return singular, vt, u.T @ triangle[:, -1]
 
@@ -149,7 +153,9 @@ def _step(at, p, sigma, free, scale, damping) -> np.ndarray:
     return -scale * (vt.T @ (gain * right))
 
 
-def _covariance(at: Linearisation, sigma: np.ndarray, free: np.ndarray, scale: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _covariance(
+    at: Linearisation, sigma: np.ndarray, free: np.ndarray, scale: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
     singular, vt, _ = _factor(at, np.zeros(len(sigma)), sigma, free, scale)
     seen = np.zeros(vt.shape[1], dtype=bool)
     seen[: len(singular)] = singular > _NULL * singular[0]

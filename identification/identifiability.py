@@ -9,7 +9,7 @@ import scipy.linalg
 
 from identification.error_model import Parameters
 
-RANK_TOLERANCE = 1e-9  # relative to the largest singular value
+_NULL = 1e-10  # relative to the largest singular value: no exactly null one is larger, by rounding alone
 _FLAT_SCALE = 1e-3  # W and T have no tolerance: one millimetre, one milliradian
 _SHARE = 1e-6
 _TERMS = 5  # of a direction, written out
@@ -36,14 +36,22 @@ def identifiability(jacobian: np.ndarray, parameters: Parameters) -> Identifiabi
     """jacobian: (rows, n_parameters) of the whitened residuals."""
     n = len(parameters)
     scale = np.where(parameters.flat, _FLAT_SCALE, parameters.tolerance)
-    triangle = np.linalg.qr(jacobian * scale, mode="r")
-    _, singular, vt = np.linalg.svd(triangle, full_matrices=True)
+    _, singular, vt = scipy.linalg.svd(np.linalg.qr(jacobian * scale, mode="r"), full_matrices=True)
     singular = np.concatenate([singular, np.zeros(n - len(singular))])
-    tolerance = RANK_TOLERANCE * float(singular[0])
+    tolerance = _rank_tolerance(singular)
     rank = int(np.sum(singular > tolerance))
     share = np.sum(vt[:rank] ** 2, axis=0)
     condition = float(singular[0] / singular[rank - 1]) if rank else float("inf")
     return Identifiability(rank, singular, tolerance, condition, share, _in_names(vt[rank:].T, scale, parameters))
+
+
+def _rank_tolerance(singular: np.ndarray) -> float:
+    """In the widest gap (on a log scale) above a singular value that may be null; exact derivatives make it wide."""
+    floor = np.finfo(float).eps * singular[0] * 1e-3
+    values = np.append(np.maximum(singular, floor), floor)
+    gaps = np.where(values[1:] < _NULL * singular[0], values[:-1] / values[1:], 0.0)
+    widest = int(np.argmax(gaps))
+    return float(np.sqrt(values[widest] * values[widest + 1]))
 
 
 def _in_names(null_space: np.ndarray, scale: np.ndarray, parameters: Parameters) -> tuple[str, ...]:
@@ -51,7 +59,7 @@ def _in_names(null_space: np.ndarray, scale: np.ndarray, parameters: Parameters)
     k = null_space.shape[1]
     if not k:
         return ()
-    pivots = scipy.linalg.qr(null_space.T, pivoting=True, mode="r")[1][:k]
+    pivots = scipy.linalg.qr(null_space.T, pivoting=True, mode="r")[1][:k]  # pyright: ignore[reportGeneralTypeIssues]
     basis = null_space @ np.linalg.inv(null_space[pivots])  # 1 at its own pivot, 0 at the others'
     physical = basis * scale[:, None] / scale[pivots]
     return tuple(_written(physical[:, i], basis[:, i], pivots[i], parameters) for i in range(k))

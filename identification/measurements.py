@@ -11,7 +11,7 @@ import pandas as pd
 
 from urdf.actuators import Actuators
 from urdf.closed_chain import ClosedChain
-from urdf.description import Column, Measure, Sensor, Tolerance
+from urdf.description import Column, Measure, Sensor, Tolerance, nearest
 from urdf.errors import InputError
 from urdf.rigid_motion import from_xyz_angles
 
@@ -65,26 +65,30 @@ def read_table(file: Path, joints: Sequence[str], measure: Measure, measured: bo
     raw = _load(file, measure)
     if not len(raw):
         raise InputError(f"{file}: the table is empty; at least one row is needed")
-    table = pd.DataFrame(index=range(len(raw)))
     known = ["pose", *joints, *(c for group in _GROUPS for c in group), "yaw"]
     known += [f"{c}_std" for c in ("orientation", "position", "tilt", "yaw")]
     for name in measure.columns:
         if name not in known:
-            raise InputError(f"{file}: measure.columns: {name!r} is no column of a measurement table; allowed: {', '.join(known)}")
+            raise InputError(
+                f"{file}: measure.columns: {name!r} is no column of a measurement table; {nearest(name, known)}"
+            )
+    columns: dict[str, np.ndarray] = {"pose": np.arange(len(raw))}
     for name in known:
         column = measure.columns.get(name, Column.model_validate({"from": name}))
+        if column.source not in raw.columns and name in raw.columns:  # a canonical table needs no map
+            column = Column.model_validate({"from": name})
         if column.source in raw.columns:
-            table[name] = _numbers(raw[column.source], column, file)
-        elif name in raw.columns:  # a canonical table needs no map
-            table[name] = _numbers(raw[name], Column.model_validate({"from": name}), file)
+            columns[name] = _numbers(raw[column.source].tolist(), column, file)
         elif name in measure.columns or name in joints:
-            raise InputError(f"{file}: column {column.source!r} ({name}) is missing; it has {', '.join(map(str, raw.columns))}")
-    if "pose" not in table:
-        table.insert(0, "pose", np.arange(len(table)))
-    _check_rows(table, file, measured)
-    if all(c in table for c in EULER):
-        table = _with_quaternion(table)
-    return table
+            found = ", ".join(map(str, raw.columns))
+            raise InputError(f"{file}: column {column.source!r} ({name}) is missing; it has {found}")
+    _check_groups(columns, file, measured)
+    _check_rows(columns, file)
+    if all(c in columns for c in EULER):
+        euler = np.column_stack([columns.pop(c) for c in EULER])
+        if "qw" not in columns:
+            columns |= dict(zip(QUATERNION, quaternions(from_xyz_angles(euler)).T, strict=True))
+    return pd.DataFrame(columns)
 
 
 def _load(file: Path, measure: Measure) -> pd.DataFrame:
@@ -100,46 +104,50 @@ def _load(file: Path, measure: Measure) -> pd.DataFrame:
         raise InputError(f"{file}: not a table that can be read: {' '.join(str(error).split())[:200]}") from None
 
 
-def _numbers(values: pd.Series, column: Column, file: Path) -> np.ndarray:
-    numbers = pd.to_numeric(values, errors="coerce").to_numpy(dtype=float)
+def _numbers(values: Sequence[object], column: Column, file: Path) -> np.ndarray:
+    numbers = np.array(pd.to_numeric(pd.Series(values), errors="coerce"), dtype=float)
     bad = np.flatnonzero(~np.isfinite(numbers))
     if len(bad):
-        found = values.iloc[bad[0]]
-        raise InputError(f"{file}: column {column.source!r}, row {bad[0] + 1}: found {found!r}; allowed are finite numbers")
+        found = values[bad[0]]
+        raise InputError(
+            f"{file}: column {column.source!r}, row {bad[0] + 1}: found {found!r}; allowed are finite numbers"
+        )
     return numbers * UNITS[column.unit]
 
 
-def _check_rows(table: pd.DataFrame, file: Path, measured: bool) -> None:
-    number = table["pose"].to_numpy()
-    if np.any(number != np.round(number)):
-        row = int(np.flatnonzero(number != np.round(number))[0])
-        raise InputError(f"{file}: column 'pose', row {row + 1}: found {number[row]:g}; allowed are whole numbers")
-    table["pose"] = number.astype(np.int64)
-    repeated = table["pose"][table["pose"].duplicated()]
-    if len(repeated):
-        raise InputError(f"{file}: pose {repeated.iloc[0]} stands there twice (row {repeated.index[0] + 1}); allowed is once")
+def _check_groups(columns: Mapping[str, np.ndarray], file: Path, measured: bool) -> None:
     for group in _GROUPS:
-        found = [c for c in group if c in table]
+        found = [c for c in group if c in columns]
         if found and len(found) < len(group):
-            missing = ", ".join(c for c in group if c not in table)
+            missing = ", ".join(c for c in group if c not in columns)
             raise InputError(f"{file}: it has {', '.join(found)}, but not {missing}; allowed is all of them or none")
-    if measured and not any(c in table for c in (*(c for group in _GROUPS for c in group), "yaw")):
+    if measured and not any(c in columns for c in ("qw", "rx", "x", "roll", "yaw")):
         raise InputError(f"{file}: nothing was measured; allowed are {_ALLOWED}")
-    for name in table.columns:
-        if name.endswith("_std") and not (table[name] > 0).all():
-            row = int(np.flatnonzero(~(table[name] > 0))[0])
-            raise InputError(f"{file}: column {name!r}, row {row + 1}: found {table[name][row]:g}; allowed is greater than 0")
-    if "qw" in table:
-        length = np.linalg.norm(table[list(QUATERNION)].to_numpy(), axis=1)
+
+
+def _check_rows(columns: dict[str, np.ndarray], file: Path) -> None:
+    pose = columns["pose"]
+    _refuse(pose != np.round(pose), file, "pose", pose, "whole numbers")
+    columns["pose"] = pose = pose.astype(np.int64)
+    first = np.unique(pose, return_index=True)[1]
+    repeated = np.setdiff1d(np.arange(len(pose)), first)
+    if len(repeated):
+        row = repeated[0]
+        raise InputError(f"{file}: pose {pose[row]} stands there twice (row {row + 1}); allowed is once")
+    for name, values in columns.items():
+        if name.endswith("_std"):
+            _refuse(~(values > 0), file, name, values, "numbers greater than 0")
+    if "qw" in columns:
+        length = np.linalg.norm(np.column_stack([columns[c] for c in QUATERNION]), axis=1)
         bad = np.flatnonzero(np.abs(length - 1) > _LENGTH_TOLERANCE)
         if len(bad):
             raise InputError(f"{file}: row {bad[0] + 1}: the quaternion's length is {length[bad[0]]:.4g}; allowed is 1")
 
 
-def _with_quaternion(table: pd.DataFrame) -> pd.DataFrame:
-    if "qw" not in table:
-        table[list(QUATERNION)] = quaternions(from_xyz_angles(table[list(EULER)].to_numpy()))
-    return table.drop(columns=list(EULER))
+def _refuse(bad: np.ndarray, file: Path, column: str, values: np.ndarray, allowed: str) -> None:
+    if bad.any():
+        row = int(np.argmax(bad))
+        raise InputError(f"{file}: column {column!r}, row {row + 1}: found {values[row]:g}; allowed are {allowed}")
 
 
 def quaternions(rotation: np.ndarray) -> np.ndarray:
@@ -178,7 +186,9 @@ def to_table(joints: Sequence[str], readings: np.ndarray, measured: Mapping[str,
     return pd.DataFrame({"pose": np.arange(len(readings)), **columns, **measured})
 
 
-def check_readings(table: pd.DataFrame, chain: ClosedChain, actuators: Actuators, tolerance: Tolerance, file: Path) -> None:
+def check_readings(
+    table: pd.DataFrame, chain: ClosedChain, actuators: Actuators, tolerance: Tolerance, file: Path
+) -> None:
     """Refuse joint values beyond the URDF's limits (three tolerances of zero and gain are forgiven)."""
     for k, name in enumerate(chain.actuated_names):
         joint = chain.actuated[k]

@@ -171,7 +171,7 @@ def _alternate_positions(measured: np.ndarray, tool: Motion) -> list[tuple[np.nd
     found = []
     for w in _CUBE:
         for _ in range(_ALTERNATIONS):
-            offset, shift, _ = _translations(w, tool, measured)
+            offset = _translations(w, tool, measured)[0]
             points = tool.translation + tool.rotation @ offset
             w = _procrustes(_centred(measured).T @ _centred(points))
         found.append((_translations(w, tool, measured)[2], w))
@@ -192,18 +192,18 @@ def _translations(w: np.ndarray, tool: Motion, position: np.ndarray) -> tuple[np
 
 
 def _with_translations(pair, tool: Motion, measured: Measurements) -> tuple[float, Motion, Motion]:
-    """Both motions, and a cost by which starts are ordered."""
+    """Both motions, and a cost by which starts are ordered: the weighted squares of all channels."""
     w, t = pair
-    cost, offset, shift = 0.0, np.zeros(3), np.zeros(3)
+    offset, shift = np.zeros(3), np.zeros(3)
     if measured.position is not None:
-        assert measured.position_std is not None
-        offset, shift, left = _translations(w, tool, measured.position)
-        cost += left / measured.position_std.mean() ** 2
-    predicted = w @ tool.rotation @ t
-    rotation = _orientation(measured)
-    if rotation is not None:
-        std = measured.orientation_std if measured.orientation_std is not None else measured.tilt_std
-        cost += float(np.sum((predicted - rotation) ** 2)) / 2 / np.mean(std) ** 2
-    elif measured.tilt is not None:
-        cost += float(np.sum((predicted[:, 2] - _up(measured)) ** 2)) / np.mean(measured.tilt_std) ** 2
+        offset, shift, _ = _translations(w, tool, measured.position)
+    predicted = Motion(w, shift) @ tool @ Motion(t, offset)
+    cost = 0.0
+    for channel, error in (
+        ("position", lambda: predicted.translation - measured.position),
+        ("orientation", lambda: (predicted.rotation - measured.orientation) / np.sqrt(2)),
+        ("tilt", lambda: predicted.rotation[:, 2] - _up(measured)),
+    ):
+        if channel in measured.channels:
+            cost += float(np.sum(error() ** 2)) / np.mean(getattr(measured, f"{channel}_std")) ** 2
     return cost, Motion(w, shift), Motion(t, offset)

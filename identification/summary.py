@@ -42,13 +42,17 @@ def summarise(model: ErrorModel, measured: Measurements, estimate: Estimate) -> 
         iterations=estimate.iterations,
         message=estimate.message,
         chi_square=float(estimate.residual @ estimate.residual),
-        degrees_of_freedom=float(len(estimate.residual) - np.sum(estimate.jacobian @ estimate.covariance * estimate.jacobian)),
+        degrees_of_freedom=float(
+            len(estimate.residual) - np.sum(estimate.jacobian @ estimate.covariance * estimate.jacobian)
+        ),
         residual_size=size,
         outliers=_outliers(measured, by_channel),
     )
 
 
-def _residuals(model: ErrorModel, measured: Measurements, estimate: Estimate) -> tuple[ResidualSize, dict[str, np.ndarray]]:
+def _residuals(
+    model: ErrorModel, measured: Measurements, estimate: Estimate
+) -> tuple[ResidualSize, dict[str, np.ndarray]]:
     """Root mean squares, and each pose's error by channel [rad or m]."""
     whitened = estimate.residual.reshape(len(measured), -1)
     sizes, row = {}, 0
@@ -63,12 +67,15 @@ def _residuals(model: ErrorModel, measured: Measurements, estimate: Estimate) ->
     if row >= n:  # the pose determines the actuators: which change of theirs explains the residual?
         by_zero = estimate.jacobian[:, -12 - 2 * n : -12 - n].reshape(len(measured), -1, n)
         actuators = -(np.linalg.pinv(by_zero) @ whitened[..., None])[..., 0]
-    return ResidualSize(
-        *(_rms(sizes.get(c), f) for c, f in (("orientation", 180 / np.pi), ("position", 1e3))),
-        *(_rms(sizes.get(c), 180 / np.pi) for c in ("tilt", "yaw")),
-        _rms(actuators[:, prismatic], 1e3),
-        _rms(actuators[:, ~prismatic], 180 / np.pi),
-    ), sizes
+    size = ResidualSize(
+        orientation_deg=_rms(sizes.get("orientation"), 180 / np.pi),
+        position_mm=_rms(sizes.get("position"), 1e3),
+        tilt_deg=_rms(sizes.get("tilt"), 180 / np.pi),
+        yaw_deg=_rms(sizes.get("yaw"), 180 / np.pi),
+        prismatic_mm=_rms(actuators[:, prismatic], 1e3),
+        revolute_deg=_rms(actuators[:, ~prismatic], 180 / np.pi),
+    )
+    return size, sizes
 
 
 def _rms(values: np.ndarray | None, factor: float) -> float | None:

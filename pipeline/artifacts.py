@@ -80,7 +80,7 @@ class _Codec:
         return name
 
     def _text_out(self, text: Any) -> str:
-        return self._keep(f"text{len(self.files)}{text.suffix}", str(text).encode())
+        return self._keep(text.file, str(text).encode())
 
     def _table_out(self, table: Any) -> str:
         buffer = io.BytesIO()
@@ -141,7 +141,9 @@ class Store:
         """The artifact of a key; None where there is none, or its manifest is broken."""
         folder = self._folder(stage, key)
         manifest = _read_json(folder / "manifest.json")
-        sealed = isinstance(manifest, dict) and manifest.pop("seal", None) == digest(manifest) and manifest.get("key") == key
+        sealed = (
+            isinstance(manifest, dict) and manifest.pop("seal", None) == digest(manifest) and manifest.get("key") == key
+        )
         if sealed:
             return Entry(folder, manifest)
         if folder.exists():
@@ -158,7 +160,10 @@ class Store:
                 raise Damaged(f"{entry.folder / name}: {error.strerror}") from None
             if len(files[name]) != sealed["bytes"] or digest(files[name]) != sealed["sha256"]:
                 raise Damaged(f"{entry.folder / name}: its content is not what was stored")
-        return decode(files, kind)
+        try:
+            return decode(files, kind)
+        except Exception as error:  # whole, but written by another version of the formats
+            raise Damaged(f"{entry.folder}: not readable as {kind.__name__} ({type(error).__name__})") from None
 
     def save(self, stage: str, key: str, value: Any, manifest: Mapping[str, Any], replace: bool = False) -> Entry:
         """Write into a temporary folder, flush, seal, rename into place. Raises InputError where the disk refuses.
@@ -202,16 +207,20 @@ class Store:
 
     def last(self, robot: str, stage: str) -> Mapping[str, Any] | None:
         """The manifest that a robot's stage used last; None where it never ran."""
-        reference = _read_json(self._reference(robot, stage))
+        reference = _read_json(self.root / "robots" / robot / f"{stage}.json")
         key = reference.get("key") if isinstance(reference, dict) else None
         manifest = _read_json(self._folder(stage, key) / "manifest.json") if isinstance(key, str) else None
         return manifest if isinstance(manifest, dict) else None
 
     def remember(self, robot: str, stage: str, key: str) -> None:
-        reference = self._reference(robot, stage)
-        content = json.dumps({"key": key}).encode()
-        if not (reference.is_file() and reference.read_bytes() == content):
-            self._replace(reference, content)
+        self.publish(robot, f"{stage}.json", json.dumps({"key": key}).encode())
+
+    def publish(self, robot: str, name: str, content: bytes) -> Path:
+        """A copy for people, under a name that does not change."""
+        file = self.root / "robots" / robot / name
+        if not (file.is_file() and file.read_bytes() == content):
+            self._replace(file, content)
+        return file
 
     def read_memo(self) -> dict[str, Any]:
         """What was found out about source files, by their digests; empty where that file is damaged."""
@@ -262,9 +271,6 @@ class Store:
 
     def _folder(self, stage: str, key: str) -> Path:
         return self.root / "artifacts" / stage / key[:40]
-
-    def _reference(self, robot: str, stage: str) -> Path:
-        return self.root / "robots" / robot / f"{stage}.json"
 
 
 def _read_json(file: Path) -> Any:

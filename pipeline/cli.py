@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import shlex
 import sys
 from collections.abc import Callable
@@ -16,6 +17,10 @@ from rich.table import Table as RichTable
 from rich.text import Text
 
 from urdf.errors import CalibrationError, InputError
+
+# Our matrices are small: more threads don't make them faster, but the sums' last bits depend on their number.
+for _library in ("OPENBLAS", "OMP", "MKL"):
+    os.environ.setdefault(f"{_library}_NUM_THREADS", "1")
 
 app = App(
     name="kincal",
@@ -44,7 +49,12 @@ Json = Annotated[bool, Parameter(name="--json", negative=())]
 
 @app.command
 def run(
-    robot: str, *, until: str = "report", force_from: str | None = None, json: Json = False, common: Common | None = None
+    robot: str,
+    *,
+    until: str = "report",
+    force_from: str | None = None,
+    json: Json = False,
+    common: Common | None = None,
 ) -> None:
     """Run the staged pipeline, and end with the comparison.
 
@@ -59,13 +69,13 @@ def run(
     if until != "report":
         session.until(until)
         return
-    compared, _ = session.until("evaluate", "report")
-    report = session.artifact("report") / "text0.html"
+    compared, report = session.until("evaluate", "report")
+    page = session.store.publish(session.robot_id, report.html.file, report.html.encode())
     if json:
         _print_json(_comparison_json(compared))
         return
     _show_comparison(compared)
-    out.print(Text(f"report: {_short(report)}"))
+    out.print(Text(f"report: {_short(page)}"))
 
 
 @app.command
@@ -219,7 +229,9 @@ class _Progress:
             self._live.stop()
             self._live = None
         if event.state == "damaged":
-            err.print(Text(f"warning: {event.why}; set aside, {event.stage} runs again", style="yellow"), soft_wrap=True)
+            err.print(
+                Text(f"warning: {event.why}; set aside, {event.stage} runs again", style="yellow"), soft_wrap=True
+            )
         else:
             seconds = "" if event.seconds is None else f" {event.seconds:6.2f} s"
             style = "dim" if event.state == "cached" else ""

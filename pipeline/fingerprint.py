@@ -63,7 +63,8 @@ def _analyse(source: bytes, extra: bytes, root: Path) -> Facts:
     facts: Facts = {_WHOLE: (_sha(ast.dump(parsed).encode() + extra), _modules(parsed, root))}
     named = {n.name: n for n in parsed.body if isinstance(n, (ast.FunctionDef, ast.ClassDef))}
     assigned = {t.id: n for n in parsed.body if isinstance(n, ast.Assign) for t in n.targets if isinstance(t, ast.Name)}
-    top = [n for n in ast.walk(ast.Module([n for n in parsed.body if n not in named.values()], [])) if _is_import(n)]
+    outside = ast.Module([n for n in parsed.body if n not in named.values()], [])
+    top = [n for n in ast.walk(outside) if isinstance(n, (ast.Import, ast.ImportFrom))]
     bound = {alias.asname or alias.name.partition(".")[0]: node for node in top for alias in node.names}
     scopes = {t.get_name(): t for t in symtable.symtable(source.decode(), "<source>", "exec").get_children()}
     for name in named:
@@ -106,12 +107,12 @@ def _strip_docstrings(parsed: ast.Module) -> None:
     for node in ast.walk(parsed):
         if isinstance(node, (ast.Module, ast.ClassDef, ast.FunctionDef, ast.AsyncFunctionDef)) and node.body:
             first = node.body[0]
-            if isinstance(first, ast.Expr) and isinstance(first.value, ast.Constant) and isinstance(first.value.value, str):
+            if (
+                isinstance(first, ast.Expr)
+                and isinstance(first.value, ast.Constant)
+                and isinstance(first.value.value, str)
+            ):
                 node.body = node.body[1:]
-
-
-def _is_import(node: ast.AST) -> bool:
-    return isinstance(node, (ast.Import, ast.ImportFrom))
 
 
 def _modules(node: ast.AST, root: Path) -> list[str]:

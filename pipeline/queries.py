@@ -105,5 +105,3 @@ def _moved(model: ErrorModel, measured: Measurements, p: np.ndarray, register: b
     free[-12:-6] = register
     free[-12 - 2 * n : -12 - n] = rehome
     return refit(model, measured, p, free).p if free.any() else p
-
-

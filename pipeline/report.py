@@ -16,7 +16,7 @@ from pipeline.fingerprint import ROOT
 from pipeline.results import Comparison, Identified, Measured, Model
 from pipeline.tables import comparison_tables, parameter_table
 
-_STYLE = {"svg.hashsalt": "kincal", "svg.fonttype": "none", "font.size": 9, "font.family": "sans-serif"}
+_STYLE: Any = {"svg.hashsalt": "kincal", "svg.fonttype": "none", "font.size": 9, "font.family": "sans-serif"}
 _BLUE, _RED, _GREY = "#1f5fa8", "#b3261e", "#767676"
 
 
@@ -47,7 +47,7 @@ def _svg(figure: Figure) -> Markup:
     buffer = io.StringIO()
     FigureCanvasSVG(figure).print_svg(buffer, metadata={"Date": None, "Creator": None})
     text = buffer.getvalue()
-    return Markup(text[text.index("<svg") :])  # noqa: S704 - drawn here, from numbers and escaped names
+    return Markup(text[text.index("<svg") :])
 
 
 def _axes(width: float, height: float) -> tuple[Figure, Any]:
@@ -94,7 +94,8 @@ def _residuals(identified: Identified) -> Markup:
     outliers = np.isin(shipped.poses, [o.pose for o in shipped.outliers])
     figure, axes = _axes(6.4, 2.8)
     axes.vlines(shipped.poses, 0, size, color=_BLUE, lw=1)
-    axes.plot(shipped.poses[outliers], size[outliers], "o", color=_RED, label="outlier")
+    if outliers.any():
+        axes.plot(shipped.poses[outliers], size[outliers], "o", color=_RED, label="outlier")
     axes.axhline(1, color=_GREY, lw=1, ls="--", label="one sigma of the sensor")
     axes.set_ylim(bottom=0)
     axes.set_xlabel("pose")

@@ -20,18 +20,19 @@ else:
     class Frame:
         """Stands for pandas.DataFrame, whose import takes half a second, until a table is read."""
 
+
 class Text(str):
     """A text that is stored as a file of its own."""
 
-    suffix = ".txt"
+    file = "text.txt"
 
 
 class Html(Text):
-    suffix = ".html"
+    file = "report.html"
 
 
 class Urdf(Text):
-    suffix = ".urdf"
+    file = "robot.urdf"
 
 
 @dataclass(frozen=True)

@@ -108,10 +108,6 @@ class Run:
             self._code = Code(memo=self.store.read_memo())
         return self._code
 
-    def artifact(self, name: str) -> Path:
-        """The folder of a stage's result that this run has brought up to date."""
-        return self._entries[name].folder
-
     def _bring(self, stage: Stage, forced: bool) -> None:
         parts = self.key_parts(stage)
         key = digest(parts)
@@ -140,7 +136,9 @@ class Run:
                     "seconds": round(seconds, 3),
                     "versions": {name: version(name) for name in stage.libraries},
                 }
-                found = self.store.save(stage.name, key, value, {"parts": parts, "provenance": provenance}, replace=forced)
+                found = self.store.save(
+                    stage.name, key, value, {"parts": parts, "provenance": provenance}, replace=forced
+                )
         self._entries[stage.name] = found
         self.store.remember(self.robot_id, stage.name, key)
         self.observe(Event(stage.name, "ran", why, time.perf_counter() - began))
@@ -200,12 +198,20 @@ def explain(last: Mapping[str, Any] | None, parts: Mapping[str, Any]) -> str:
     if last is None:
         return "never ran for this robot"
     before = last.get("parts", {})
-    for group, said in (("settings", "setting"), ("files", "file"), ("inputs", "input"), ("code", "code"), ("libraries", "library")):
+    for group, said in (
+        ("settings", "setting"),
+        ("files", "file"),
+        ("inputs", "input"),
+        ("code", "code"),
+        ("libraries", "library"),
+    ):
         old, new = _flat(before.get(group, {})), _flat(parts[group])
         changed = [name for name in {**old, **new} if old.get(name) != new.get(name)]
         if changed:
             more = f" and {len(changed) - 1} more" if len(changed) > 1 else ""
-            detail = f" {old.get(changed[0])} -> {new.get(changed[0])}" if group in ("settings", "libraries") else " changed"
+            detail = (
+                f" {old.get(changed[0])} -> {new.get(changed[0])}" if group in ("settings", "libraries") else " changed"
+            )
             return f"{said} {changed[0]}{detail}{more}"
     return "its artifact is gone or damaged"
 
@@ -213,7 +219,9 @@ def explain(last: Mapping[str, Any] | None, parts: Mapping[str, Any]) -> str:
 def _flat(value: Any, prefix: str = "") -> dict[str, Any]:
     if not isinstance(value, Mapping):
         return {prefix: value}
-    return {k: v for name, part in value.items() for k, v in _flat(part, f"{prefix}.{name}" if prefix else name).items()}
+    return {
+        k: v for name, part in value.items() for k, v in _flat(part, f"{prefix}.{name}" if prefix else name).items()
+    }
 
 
 def _file_digest(file: Path) -> str:

@@ -131,10 +131,10 @@ def identify(
 ) -> Identified:
     """All geometric parameters from the measured poses; and from parts of them, to be scored on the rest."""
     from identification.error_model import ErrorModel
-    from identification.estimators import register
     from identification.estimators import identify as estimate
-    from identification.poses import folds, held_out
+    from identification.estimators import register
     from identification.measurements import to_measurements
+    from identification.poses import folds, held_out
     from identification.summary import summarise
 
     chain = model.chain()

@@ -11,7 +11,12 @@ import numpy as np
 from identification.identification import Identification
 from pipeline.results import MethodScore
 
-_HUMAN = {"m": ("mm", 1e3), "rad": ("deg", 180 / np.pi), "m/reading": ("mm/reading", 1e3), "rad/reading": ("deg/reading", 180 / np.pi)}
+_HUMAN = {
+    "m": ("mm", 1e3),
+    "rad": ("deg", 180 / np.pi),
+    "m/reading": ("mm/reading", 1e3),
+    "rad/reading": ("deg/reading", 180 / np.pi),
+}
 _Z95 = 1.959964  # of a normal distribution: 95 % lie within
 
 
@@ -19,10 +24,6 @@ _Z95 = 1.959964  # of a normal distribution: 95 % lie within
 class Table:
     columns: tuple[str, ...]
     rows: tuple[tuple[str, ...], ...]
-
-
-def number(value: float | None, digits: int = 4) -> str:
-    return "" if value is None or not np.isfinite(value) else f"{value:.{digits}g}"
 
 
 def fixed(value: float | None, digits: int) -> str:
@@ -52,10 +53,15 @@ def parameter_table(found: Identification) -> Table:
     for k, name in enumerate(found.names):
         unit, factor = _HUMAN[found.units[k]]
         nominal, change, std = found.nominal[k] * factor, found.change[k] * factor, found.std[k] * factor
-        interval = f"{nominal + change - _Z95 * std:.6g} .. {nominal + change + _Z95 * std:.6g}" if np.isfinite(std) else ""
+        known = bool(np.isfinite(std))
+        digits = int(np.clip(2 - np.floor(np.log10(std)), 0, 8)) if known and std > 0 else 6  # three of sigma's
+        low, high = nominal + change - _Z95 * std, nominal + change + _Z95 * std
+        cells = [f"{value:.{digits}f}" for value in (nominal, nominal + change, change)]
+        cells += [f"{std:.{digits}f}", f"{low:.{digits}f} .. {high:.{digits}f}"] if known else ["", ""]
         seen = "yes" if found.identifiable[k] else f"{100 * found.observable_share[k]:.0f} %"
-        rows.append((name, unit, f"{nominal:.6g}", f"{nominal + change:.6g}", number(change), number(std, 3), interval, seen))
-    return Table(("parameter", "unit", "nominal", "identified", "change", "sigma", "95 % interval", "identifiable"), tuple(rows))
+        rows.append((name, unit, *cells, seen))
+    columns = ("parameter", "unit", "nominal", "identified", "change", "sigma", "95 % interval", "identifiable")
+    return Table(columns, tuple(rows))
 
 
 def parameters_json(robot: str, found: Identification) -> dict[str, Any]:

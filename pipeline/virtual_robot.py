@@ -29,7 +29,10 @@ def draw(model: ErrorModel, errors: VirtualErrors, seed: int) -> Truth:
     if not errors.geometric:
         p[:] = 0.0
     for frame in (p[-12:-6], p[-6:]):
-        for part, size in ((slice(0, 3), errors.frame_translation_mm * 1e-3), (slice(3, 6), np.deg2rad(errors.frame_rotation_deg))):
+        for part, size in (
+            (slice(0, 3), errors.frame_translation_mm * 1e-3),
+            (slice(3, 6), np.deg2rad(errors.frame_rotation_deg)),
+        ):
             direction = random.normal(size=3)
             frame[part] = size * direction / np.linalg.norm(direction)
     return Truth(p, random.uniform(0, 2 * np.pi, len(model.actuators.gain)), errors)
@@ -66,7 +69,9 @@ class VirtualRobot:
         amplitude = np.where(sliding, errors.screw_amplitude_mm * 1e-3, np.deg2rad(errors.gear_amplitude_deg))
         period = np.where(sliding, errors.screw_period_mm * 1e-3, np.deg2rad(errors.gear_period_deg))
         quadratic = np.where(sliding, errors.screw_quadratic_per_m, errors.gear_quadratic_per_rad)
-        return amplitude * np.sin(2 * np.pi * joints / period + self.truth.phase) + quadratic * (joints - self.home) ** 2
+        return (
+            amplitude * np.sin(2 * np.pi * joints / period + self.truth.phase) + quadratic * (joints - self.home) ** 2
+        )
 
     def _deflection(self, q: np.ndarray) -> np.ndarray:
         """How far each actuator gives under the payload's weight, by virtual work: -m g (dz / dq) / stiffness."""
@@ -103,5 +108,3 @@ def measure(pose: Motion, channels: tuple[str, ...], sensor: Sensor, seed: int) 
     if "yaw" in channels:
         columns["yaw"] = np.arctan2(r[:, 1, 0], r[:, 0, 0]) + np.deg2rad(sensor.yaw_deg) * random.normal(size=n)
     return columns
-
-

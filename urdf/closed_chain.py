@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-import pinocchio as pin
+import pinocchio as pin  # pyright: ignore[reportMissingImports] - a wheel without stubs
 from defusedxml import DefusedXmlException
 from defusedxml import ElementTree as SafeXml
 
@@ -115,7 +115,7 @@ class ClosedChain:
 def load_chain(mechanism: Mechanism, urdf: str, file: Path) -> ClosedChain:
     """The chain of a mechanism and the text of its URDF; `file` is where that text came from, for messages.
 
-    Its home is a first guess: the URDF's zero configuration, moved into the joint limits. `kinematics.at_home` closes it.
+    Its home is a first guess, the URDF's zero configuration moved into the joint limits: see `kinematics.at_home`.
     Raises InputError for a URDF that is no tree, and for names that don't exist or are ambiguous.
     """
     _check_tree(urdf, file)
@@ -128,10 +128,12 @@ def load_chain(mechanism: Mechanism, urdf: str, file: Path) -> ClosedChain:
     joint_index = {name: i for i, name in enumerate(names)}
     for name in mechanism.actuated:
         if name not in joint_index:
-            raise InputError(f"actuated: joint {name!r} is not among the moving joints of {file}; {nearest(name, names)}")
+            raise InputError(
+                f"actuated: joint {name!r} is not among the moving joints of {file}; {nearest(name, names)}"
+            )
     base = _frame(model, mechanism.base_frame, "base_frame", file)
     if base[0] != BASE:
-        raise InputError(f"base_frame: {description.base_frame!r} moves with joint {names[base[0]]!r}; allowed is fixed")
+        raise InputError(f"base_frame: {mechanism.base_frame!r} moves with joint {names[base[0]]!r}; allowed is fixed")
     tool = _frame(model, mechanism.tool_frame, "tool_frame", file)
     lower, upper = _limits(model)
     placements = [Motion(m.rotation.copy(), m.translation.copy()) for m in list(model.jointPlacements)[1:]]
@@ -162,7 +164,9 @@ def load_chain(mechanism: Mechanism, urdf: str, file: Path) -> ClosedChain:
 
 
 def _tool_axes(workspace: Workspace) -> tuple[int, ...]:
-    return tuple(["xyz".index(a) for a in workspace.translation_mm] + [3 + "xyz".index(a) for a in workspace.rotation_deg])
+    return tuple(
+        ["xyz".index(a) for a in workspace.translation_mm] + [3 + "xyz".index(a) for a in workspace.rotation_deg]
+    )
 
 
 def _closure(model: pin.Model, loop: Loop, first: int, file: Path) -> tuple[LoopClosure, list[Motion]]:
@@ -272,8 +276,8 @@ def _check_connected(links: list[str], parent_of: Mapping[str, str], file: Path)
 def _check_numbers(joint, name: str, file: Path) -> None:
     for tag, attributes in (("origin", ("xyz", "rpy")), ("axis", ("xyz",)), ("limit", ("lower", "upper"))):
         element = joint.find(tag)
-        for attribute in attributes if element is not None else ():
-            text = element.get(attribute)
+        for attribute in attributes:
+            text = None if element is None else element.get(attribute)
             if text is None:
                 continue
             try:

@@ -307,7 +307,11 @@ def nearest(name: str, legal: Iterable[str]) -> str:
     """What to say of a name that does not exist: the nearest one, or all that do."""
     legal = list(legal)
     close = difflib.get_close_matches(name, legal, n=1, cutoff=0.5)
-    return f"did you mean {close[0]!r}?" if close else f"allowed: {', '.join(legal[:12])}{', ...' if len(legal) > 12 else ''}"
+    return (
+        f"did you mean {close[0]!r}?"
+        if close
+        else f"allowed: {', '.join(legal[:12])}{', ...' if len(legal) > 12 else ''}"
+    )
 
 
 def _shorten(value: Any) -> str:

@@ -1,4 +1,4 @@
-"""Loop closure by Newton, forward and inverse kinematics and their Jacobians: all poses at once, one path for any robot.
+"""Loop closure by Newton, forward and inverse kinematics, Jacobians: all poses at once, one path for any robot.
 
 Joint values are q: (n, n_joints) [rad or m]. Tool coordinates are u: (n, 6), translation [m] of the tool from its home
 pose along the base axes, and intrinsic XYZ angles [rad] of home orientation^T * orientation.
@@ -32,7 +32,7 @@ class Tree:
         """(n, 3): a point that hangs on `joint` (BASE: on the base), in the world."""
         if joint == BASE:
             return np.broadcast_to(at, self.translation[0].shape)
-        return _times(self.rotation[joint], at) + self.translation[joint]
+        return _after(self.rotation[joint], self.translation[joint], at)
 
     def turned(self, joint: int, rotation: np.ndarray) -> np.ndarray:
         """(n, 3, 3): a frame's orientation that hangs on `joint` (BASE: on the base), in the world."""
@@ -54,7 +54,9 @@ class Closure:
         """This closure, if every row is closed; else InputError that begins with what(row)."""
         if not self.closed.all():
             row = int(np.flatnonzero(~self.closed)[0])
-            raise InputError(f"{what(row)}: the loops can't be closed there (residual {self.residual[row]:.3g} m or rad)")
+            raise InputError(
+                f"{what(row)}: the loops can't be closed there (residual {self.residual[row]:.3g} m or rad)"
+            )
         return self
 
 
@@ -63,16 +65,17 @@ def _times(batch: np.ndarray, constant: np.ndarray) -> np.ndarray:
     return (batch.reshape(-1, 3) @ constant).reshape(len(batch), *constant.shape)
 
 
+def _after(rotation: np.ndarray, translation: np.ndarray, point: np.ndarray) -> np.ndarray:
+    return _times(rotation, point) + translation
+
+
 def tree(chain: ClosedChain, q: np.ndarray) -> Tree:
     """Forward kinematics of the spanning tree, q: (n, n_joints)."""
     n = len(q)
     rotation, translation = [], []
     for j, parent in enumerate(chain.parents):
         placed, at, axis = chain.rotation[j], chain.translation[j], chain.axes[j]
-        if parent == BASE:
-            origin = np.broadcast_to(at, (n, 3))
-        else:
-            origin = translation[parent] + _times(rotation[parent], at)
+        origin = np.broadcast_to(at, (n, 3)) if parent == BASE else _after(rotation[parent], translation[parent], at)
         if chain.prismatic[j]:
             local = placed
             direction = placed @ axis
@@ -157,9 +160,7 @@ def tool_pose(chain: ClosedChain, frames: Tree) -> Motion:
 def tool_coordinates(chain: ClosedChain, pose: Motion) -> np.ndarray:
     """u: (n, 6) of tool poses in the base frame."""
     home = chain.home_pose
-    return np.concatenate(
-        [pose.translation - home.translation, xyz_angles(home.rotation.T @ pose.rotation)], axis=-1
-    )
+    return np.concatenate([pose.translation - home.translation, xyz_angles(home.rotation.T @ pose.rotation)], axis=-1)
 
 
 def pose_at(chain: ClosedChain, u: np.ndarray) -> Motion:
@@ -170,7 +171,9 @@ def pose_at(chain: ClosedChain, u: np.ndarray) -> Motion:
 
 def tool_jacobian(chain: ClosedChain, frames: Tree) -> np.ndarray:
     """(n, 6, n_joints): d(tool coordinates) / dq, the loops left open."""
-    path, columns = _twist_columns(chain, frames, chain.tool_joint, frames.point(chain.tool_joint, chain.tool.translation))
+    path, columns = _twist_columns(
+        chain, frames, chain.tool_joint, frames.point(chain.tool_joint, chain.tool.translation)
+    )
     to_base = chain.base.rotation.T
     angles = tool_coordinates(chain, tool_pose(chain, frames))[:, 3:]
     jacobian = np.zeros((len(columns), 6, chain.n_joints))
@@ -303,7 +306,11 @@ def at_home(chain: ClosedChain, pose: Motion | None, seed: int = 0) -> ClosedCha
     high = np.where(np.isfinite(chain.upper), chain.upper, np.pi)
     best = (np.inf, chain.home)
     for attempt in range(40):
-        start = chain.home if attempt == 0 else chain.home + min(1.0, attempt / 20) * random.uniform(low - high, high - low) / 2
+        start = (
+            chain.home
+            if attempt == 0
+            else chain.home + min(1.0, attempt / 20) * random.uniform(low - high, high - low) / 2
+        )
         q, residual = _damped(problem, np.clip(start, low, high))
         if residual < TOLERANCE and not np.all((q >= chain.lower) & (q <= chain.upper)):
             residual = 1.0  # closed, but outside the limits: keep looking

@@ -1,4 +1,4 @@
-"""Is the workspace fit for calibration? Mobility, singularities, assembly branches and joint limits; and poses in it."""
+"""Is the workspace fit for calibration? Mobility, singularities, branches and joint limits; and poses in it."""
 
 from __future__ import annotations
 
@@ -9,7 +9,16 @@ import numpy as np
 from urdf.closed_chain import ClosedChain
 from urdf.description import Workspace
 from urdf.errors import InputError
-from urdf.kinematics import TOLERANCE, Closure, actuator_jacobian, forward, inverse, loop_jacobian, tool_coordinates, tree
+from urdf.kinematics import (
+    TOLERANCE,
+    Closure,
+    actuator_jacobian,
+    forward,
+    inverse,
+    loop_jacobian,
+    tool_coordinates,
+    tree,
+)
 
 AXES = ("x", "y", "z", "rx", "ry", "rz")  # of the tool coordinates
 RANK_TOLERANCE = 1e-9  # relative to the largest singular value; exact derivatives leave ten orders of magnitude
@@ -37,7 +46,9 @@ def grid(workspace: Workspace, axes: tuple[int, ...], counts: list[int]) -> np.n
     return _full(np.stack(np.meshgrid(*lines, indexing="ij"), axis=-1).reshape(-1, len(axes)), axes)
 
 
-def sample(workspace: Workspace, axes: tuple[int, ...], n: int, seed: int | list[int], even: bool = False) -> np.ndarray:
+def sample(
+    workspace: Workspace, axes: tuple[int, ...], n: int, seed: int | list[int], even: bool = False
+) -> np.ndarray:
     """Tool coordinates (n, 6) spread over the workspace: uniformly at random, or evenly (scrambled Sobol points)."""
     random = np.random.default_rng(seed)
     if even:
@@ -115,8 +126,8 @@ def check_workspace(chain: ClosedChain, workspace: Workspace) -> WorkspaceReport
     free = mobility(chain)
     if _rank_deficient(chain):
         raise InputError(
-            f"loops: they impose {chain.n_equations} equations, of which {chain.n_joints - free} are independent at home: "
-            "the mechanism is over-constrained (or its zero position is singular); use point loops, or cut another joint"
+            f"loops: they impose {chain.n_equations} equations, {chain.n_joints - free} of them independent at home: "
+            "the mechanism is over-constrained (or singular there); use point loops, or cut another joint"
         )
     for what, count in (("actuated joints", len(chain.actuated)), ("axes in [workspace]", len(chain.tool_axes))):
         if count != free:
