@@ -176,6 +176,8 @@ def test_overrides_take_tables_and_lists():
         ("seed.deep=1", ["--set seed.deep=1", "seed", "not a table"]),
         ("actuated.first=1", ["--set actuated.first=1"]),
         ("plan..poses=3", ["--set plan..poses=3"]),
+        ("plann.poses=3", ["--set plann.poses=3", "unknown key", "'plan'"]),
+        ("measure.error.elastic=false", ["--set measure.error.elastic=false", "'errors'"]),
     ],
 )
 def test_bad_overrides_are_refused_by_their_own_text(override, named):

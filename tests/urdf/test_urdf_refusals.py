@@ -157,17 +157,26 @@ def test_a_repeated_loop_is_over_constrained(edited, checked):
 
 
 def test_loops_that_cannot_close_at_home_are_named(edited, checked):
-    """Leg 2's platform joint sits 2 m aside: its slide would have to be far longer than its limit."""
+    """A rigid post on the base, a metre from the platform, which turns about a fixed centre and can't reach it."""
+    post = joint("post_mount", "base", "post", '<origin xyz="1 0 0.45"/>')
+    loop = '[[loop]]\nname = "post"\nkind = "point"\nframes = ["post", "platform_joint1"]\n\n[workspace]'
+    robot = edited(urdf=[(LAST, f'<link name="post"/>{post}{LAST}')], toml=[("[workspace]", loop)])
+    with pytest.raises(InputError, match=r"loop 'post' \(post and platform_joint1\) stays open by"):
+        checked(robot)
+
+
+def test_a_home_beyond_the_joint_limits_names_the_joint(edited, checked):
+    """Leg 2's platform joint 2 m aside: its length would be 1.8 m (eq. 2), its slide ends at 0.65 m."""
     robot = edited(urdf=[('xyz="-0.193185165257814 0.051763809020504 0"', 'xyz="-0.19 2.0 0"')])
-    with pytest.raises(InputError, match=r"loop 'leg2' \(leg2_tip and platform_joint2\) stays open by"):
+    with pytest.raises(InputError, match=r"home.*'leg2_slide' would be at 1\.79\d*; its limits are \[0\.35, 0\.65\]"):
         checked(robot)
 
 
 def test_joint_limits_exceeded_within_the_workspace_name_joint_and_pose(edited, checked):
-    """Leg 2's slide is 0.5 m at most, where its leg needs more (eq. 2: 0.51 m at rx = 20 degrees or beyond)."""
-    robot = edited(urdf=[('<limit lower="-1.4" upper="1.4" effort="10000" velocity="10"/>\n  </joint>\n  <link name="leg1_rod"/>',
-                          '<limit lower="-0.3" upper="0.3" effort="10000" velocity="10"/>\n  </joint>\n  <link name="leg1_rod"/>')])  # fmt: skip
-    with pytest.raises(InputError, match=r"workspace: pose \(rx = .* deg.*\): joint 'leg1_u2' would be at .*\[-0.3, 0.3\]"):
+    """Leg 1's second universal angle is -0.324 rad at home: allowed there, not everywhere."""
+    end = 'effort="10000" velocity="10"/>\n  </joint>\n  <link name="leg1_rod"/>'
+    robot = edited(urdf=[(f'<limit lower="-1.4" upper="1.4" {end}', f'<limit lower="-0.35" upper="0.35" {end}')])
+    with pytest.raises(InputError, match=r"workspace: pose \(rx = .* deg.*\): joint 'leg1_u2' would be at .*\[-0\.35, 0\.35\]"):
         checked(robot)
 
 

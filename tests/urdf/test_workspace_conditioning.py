@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from urdf.errors import InputError
 from urdf.kinematics import inverse
+from urdf.rigid_motion import Motion
 from urdf.workspace import bounds, condition_numbers, grid, mobility, sample
 
 PLATFORM_ORIGINS = (  # of ups3_s: an offset of 45 degrees
@@ -88,17 +90,15 @@ def test_shipped_workspaces_are_fit_for_calibration(name, checked, robot):
     assert report.mobility == len(robot(name).chain.tool_axes)
 
 
-def test_condition_numbers_do_not_depend_on_the_unit_of_length(edited, robot):
+def test_condition_numbers_do_not_depend_on_the_unit_of_length(robot):
     """The platform drawn ten times as large: the same mechanism, the same condition numbers."""
     loaded = robot("jugglebot")
     q = loaded.configurations(5, 1)
     large = loaded.chain.with_geometry(loaded.chain.rotation, 10 * loaded.chain.translation)
     sliding = large.prismatic
     grown = np.where(sliding, 10 * q, q)
-    from dataclasses import replace
-
-    home = np.where(sliding, 10 * large.home, large.home)
-    large = replace(large, home=home)
+    tool = Motion(large.tool.rotation, 10 * large.tool.translation)
+    large = replace(large, home=np.where(sliding, 10 * large.home, large.home), tool=tool)
     numbers = condition_numbers(loaded.chain, q)
     np.testing.assert_allclose(condition_numbers(large, grown), numbers, rtol=1e-8)
 
