@@ -93,6 +93,17 @@ def identify(model: ErrorModel, measured: Measurements, max_iterations: int = 50
     return estimate
 
 
+def left_out(model: ErrorModel, at: Linearisation, p: np.ndarray, rows: np.ndarray, n: int) -> np.ndarray:
+    """Whitened residuals (all rows) of an identification that has not seen the poses `rows` of n: one linear step from p."""
+    per_pose = len(at.residual) // n
+    kept = np.setdiff1d(np.arange(n), rows)
+    pick = (kept[:, None] * per_pose + np.arange(per_pose)).ravel()
+    sigma = model.parameters.tolerance
+    scale = np.where(np.isfinite(sigma), sigma, _FLAT_SCALE)
+    seen = Linearisation(at.residual[pick], at.jacobian[pick], at.q[kept])
+    return at.residual + at.jacobian @ _step(seen, p, sigma, np.ones(len(p), dtype=bool), scale, 0.0)
+
+
 def _minimise(
     model: ErrorModel,
     measured: Measurements,

@@ -62,7 +62,7 @@ def read_table(file: Path, joints: Sequence[str], measure: Measure, measured: bo
     measured: whether something must have been measured; a table of joint values alone is fine otherwise.
     Raises InputError that names the file, the column, the row and the value.
     """
-    raw = _load(file, measure)
+    raw = load(file, measure)
     if not len(raw):
         raise InputError(f"{file}: the table is empty; at least one row is needed")
     known = ["pose", *joints, *(c for group in _GROUPS for c in group), "yaw"]
@@ -78,7 +78,7 @@ def read_table(file: Path, joints: Sequence[str], measure: Measure, measured: bo
         if column.source not in raw.columns and name in raw.columns:  # a canonical table needs no map
             column = Column.model_validate({"from": name})
         if column.source in raw.columns:
-            columns[name] = _numbers(raw[column.source].tolist(), column, file)
+            columns[name] = numbers(raw[column.source].tolist(), column, file)
         elif name in measure.columns or name in joints:
             found = ", ".join(map(str, raw.columns))
             raise InputError(f"{file}: column {column.source!r} ({name}) is missing; it has {found}")
@@ -91,7 +91,8 @@ def read_table(file: Path, joints: Sequence[str], measure: Measure, measured: bo
     return pd.DataFrame(columns)
 
 
-def _load(file: Path, measure: Measure) -> pd.DataFrame:
+def load(file: Path, measure: Measure) -> pd.DataFrame:
+    """A CSV (with the separator and decimal sign of [measure]) or Parquet file, as it is."""
     try:
         if file.suffix.lower() in (".parquet", ".pq"):
             return pd.read_parquet(file)
@@ -104,15 +105,15 @@ def _load(file: Path, measure: Measure) -> pd.DataFrame:
         raise InputError(f"{file}: not a table that can be read: {' '.join(str(error).split())[:200]}") from None
 
 
-def _numbers(values: Sequence[object], column: Column, file: Path) -> np.ndarray:
-    numbers = np.array(pd.to_numeric(pd.Series(values), errors="coerce"), dtype=float)
-    bad = np.flatnonzero(~np.isfinite(numbers))
+def numbers(values: Sequence[object], column: Column, file: Path) -> np.ndarray:
+    """Column values as finite numbers in SI units. Raises InputError that names the row."""
+    found = np.array(pd.to_numeric(pd.Series(values), errors="coerce"), dtype=float)
+    bad = np.flatnonzero(~np.isfinite(found))
     if len(bad):
-        found = values[bad[0]]
         raise InputError(
-            f"{file}: column {column.source!r}, row {bad[0] + 1}: found {found!r}; allowed are finite numbers"
+            f"{file}: column {column.source!r}, row {bad[0] + 1}: found {values[bad[0]]!r}; allowed are finite numbers"
         )
-    return numbers * UNITS[column.unit]
+    return found * UNITS[column.unit]
 
 
 def _check_groups(columns: Mapping[str, np.ndarray], file: Path, measured: bool) -> None:

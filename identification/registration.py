@@ -45,7 +45,7 @@ def starts(tool: Motion, measured: Measurements) -> list[tuple[Motion, Motion]]:
     if rotation is not None:
         pairs = [_kronecker(rotation, tool.rotation) or _alternate(rotation, tool.rotation)]
     elif measured.tilt is not None:
-        up = _up(measured)
+        up = vertical_in_target(measured)
         pairs = [
             (turn @ instrument, target)
             for instrument, target in [_kronecker_tilt(up, tool.rotation) or _alternate_tilt(up, tool.rotation)]
@@ -65,7 +65,7 @@ def instrument_starts(target: Motion, measured: Measurements) -> list[Motion]:
     if rotation is not None:
         turns = [_procrustes(np.einsum("nij,nkj->ik", rotation, target.rotation))]
     elif measured.tilt is not None:
-        upright = _from_vertical(np.einsum("nij,nj->i", target.rotation, _up(measured)))
+        upright = _from_vertical(np.einsum("nij,nj->i", target.rotation, vertical_in_target(measured)))
         turns = [turn @ upright for turn in _about_gravity(8 if measured.position is not None else 1)]
     elif measured.position is not None:
         turns = [_procrustes(_centred(measured.position).T @ _centred(target.translation))]
@@ -89,7 +89,7 @@ def _orientation(measured: Measurements) -> np.ndarray | None:
     return None
 
 
-def _up(measured: Measurements) -> np.ndarray:
+def vertical_in_target(measured: Measurements) -> np.ndarray:
     """(n, 3): the vertical in the target's frame, the third row of its orientation."""
     assert measured.tilt is not None
     roll, pitch = measured.tilt.T
@@ -202,7 +202,7 @@ def _with_translations(pair, tool: Motion, measured: Measurements) -> tuple[floa
     for channel, error in (
         ("position", lambda: predicted.translation - measured.position),
         ("orientation", lambda: (predicted.rotation - measured.orientation) / np.sqrt(2)),
-        ("tilt", lambda: predicted.rotation[:, 2] - _up(measured)),
+        ("tilt", lambda: predicted.rotation[:, 2] - vertical_in_target(measured)),
     ):
         if channel in measured.channels:
             cost += float(np.sum(error() ** 2)) / np.mean(getattr(measured, f"{channel}_std")) ** 2

@@ -1,1 +1,1 @@
-"""What geometry can't explain. Knows arrays and networks, no robots."""
+"""What geometry can't explain: networks and their training. Knows arrays, no robots."""

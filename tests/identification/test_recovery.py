@@ -121,8 +121,9 @@ def test_parameters_sigmas_hold_what_they_promise(robot):
         noise = np.random.default_rng(500 + seed)
         measured = loaded.measure(truth, loaded.readings(30, 600 + seed), ("orientation",), {"orientation": 1e-5}, noise)
         found = identify(loaded.model, measured)
-        values.append(((found.p - truth) / np.sqrt(np.diag(found.covariance)))[tight])
-        assert np.all(np.diag(found.covariance)[tight] <= (1 + 1e-9) * loaded.model.parameters.tolerance[tight] ** 2)
+        sigma = np.sqrt(np.diag(found.covariance))[tight]
+        values.append((found.p - truth)[tight] / sigma)
+        assert np.all(sigma <= (1 + 1e-9) * loaded.model.parameters.tolerance[tight])
     inside = np.mean(np.abs(values) < 1.96)
     assert 0.92 < inside < 0.98  # of 20 * 96 values: one sigma is 0.005 if independent, 0.01 with their correlations
 

@@ -1,0 +1,140 @@
+"""Raw inclinometer streams -> one attitude a static pose: an extended Kalman filter (filterpy) over each stretch.
+
+State: roll, pitch and, with a heading reference, yaw of the target [rad], held still but for a slow drift. The
+inclinometer and the heading reference are updates of their own, so that an outlier of one costs nothing of the other.
+Outliers are gated by the Mahalanobis distance of the innovation. The filter starts diffuse; what an outlier is, as long
+as it knows nothing, a robust window tells (its median): a single sample never decides.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+
+from identification.measurements import UNITS, load, numbers
+from urdf.description import Column, Filter, Measure, Sensor
+from urdf.errors import InputError
+
+CHANNELS = ("roll", "pitch", "yaw")
+_DIFFUSE = 10.0  # one sigma of the state before the first sample [rad]
+_STUCK = 10  # samples: fewer may well be alike
+
+
+@dataclass(frozen=True)
+class StaticAttitude:
+    """One pose's attitude: angles (k,) [rad] with covariance (k, k), k = 2, or 3 with a heading."""
+
+    angles: np.ndarray
+    covariance: np.ndarray
+    used: int
+    gated: int
+
+
+def read_stream(file: Path, measure: Measure) -> pd.DataFrame:
+    """A stream file as t [s], pose, roll, pitch [rad] and, where it has one, yaw. Raises InputError as `read_table`."""
+    raw = load(file, measure)
+    columns = {}
+    for name in ("t", "pose", *CHANNELS):
+        column = measure.columns.get(name, Column.model_validate({"from": name}))
+        source = column.source if column.source in raw.columns else name
+        if source in raw.columns:
+            found = column if source == column.source else Column.model_validate({"from": name})
+            columns[name] = numbers(raw[source].tolist(), found, file)
+        elif name != "yaw":
+            found = ", ".join(map(str, raw.columns))
+            raise InputError(f"{file}: column {source!r} is missing from the stream; it has {found}")
+    stream = pd.DataFrame(columns)
+    backwards = np.flatnonzero(np.diff(stream["t"].to_numpy()) < 0)
+    if len(backwards):
+        row, t = backwards[0] + 1, stream["t"].to_numpy()
+        raise InputError(f"{file}: column 't', row {row + 1}: time runs backwards, from {t[row - 1]:g} to {t[row]:g} s")
+    return stream
+
+
+def filter_stream(stream: pd.DataFrame, poses: np.ndarray, sensor: Sensor, settings: Filter, what: str) -> pd.DataFrame:
+    """One row a pose of `poses` (n,): roll, pitch, tilt_std [rad] (and yaw, yaw_std), used and gated samples.
+
+    `what` names the stream in messages. Raises InputError for a pose without samples, and for a stuck channel.
+    """
+    channels = [c for c in CHANNELS if c in stream]
+    sigma = np.deg2rad([sensor.tilt_deg, sensor.tilt_deg, sensor.yaw_deg])[: len(channels)]
+    grouped = {int(pose): part for pose, part in stream.groupby("pose", sort=False)}
+    rows = []
+    for pose in poses:
+        part = grouped.get(int(pose))
+        if part is None:
+            raise InputError(f"{what}: pose {pose} has no sample; allowed is at least {settings.min_samples}")
+        samples = part[channels].to_numpy(float)
+        _check(samples, channels, int(pose), settings, what)
+        found = static_attitude(part["t"].to_numpy(float), samples, sigma, settings)
+        if found.used < settings.min_samples:
+            raise InputError(
+                f"{what}: pose {pose}: {found.gated} of {len(samples)} samples are outliers; "
+                f"allowed are poses with at least {settings.min_samples} good ones"
+            )
+        variance = np.diag(found.covariance)
+        row = {"pose": int(pose), "roll": found.angles[0], "pitch": found.angles[1], "tilt_std": np.sqrt(variance[:2].mean())}
+        if "yaw" in channels:
+            row |= {"yaw": found.angles[2], "yaw_std": np.sqrt(variance[2])}
+        rows.append(row | {"used": found.used, "gated": found.gated})
+    return pd.DataFrame(rows)
+
+
+def static_attitude(t: np.ndarray, samples: np.ndarray, sigma: np.ndarray, settings: Filter) -> StaticAttitude:
+    """The attitude behind one pose's samples (n, k) [rad] at times t (n,) [s]; sigma (k,): noise of one sample [rad]."""
+    from filterpy.kalman import ExtendedKalmanFilter  # imports matplotlib: a second
+
+    k = samples.shape[1]
+    ekf = ExtendedKalmanFilter(dim_x=k, dim_z=k)
+    ekf.x = samples[0].copy()  # a diffuse state: where it stands does not matter, but for the wrap-around
+    ekf.P = np.eye(k) * _DIFFUSE**2
+    drift = np.deg2rad(settings.drift_deg_per_sqrt_s) ** 2
+    sensors = [slice(0, 2), slice(2, 3)][: 1 + (k > 2)]
+    window = _centre(samples[: settings.window])
+    gates = [settings.gate_sigma**2 + 2 * part.stop - 2 * part.start for part in sensors]
+    used = gated = 0
+    last = t[0]
+    for time, sample in zip(t, samples, strict=True):
+        ekf.Q = np.eye(k) * (drift * (time - last))
+        ekf.predict()
+        last = time
+        good = True
+        for part, gate in zip(sensors, gates, strict=True):
+            noise = sigma[part] ** 2
+            known = np.diag(ekf.P)[part] < noise  # until then the window's median is the better reference
+            reference = ekf.x[part] if known.all() else window[part]
+            spread = noise + (np.diag(ekf.P)[part] if known.all() else noise / 4)
+            if np.sum(_wrap(sample[part] - reference) ** 2 / spread) > gate:
+                good = False
+                continue
+            observe = np.eye(k)[part]
+            ekf.update(sample[part], lambda x, h=observe: h, lambda x, h=observe: h @ x, R=np.diag(noise), residual=_difference)
+        used, gated = used + good, gated + (not good)
+    return StaticAttitude(_wrap(ekf.x), ekf.P, used, gated)
+
+
+def _difference(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    return _wrap(a - b)
+
+
+def _wrap(angle: np.ndarray) -> np.ndarray:
+    return (angle + np.pi) % (2 * np.pi) - np.pi
+
+
+def _centre(samples: np.ndarray) -> np.ndarray:
+    """(k,) the median of angles, about the first sample: they may lie on both sides of +-180 degrees."""
+    return samples[0] + np.median(_wrap(samples - samples[0]), axis=0)
+
+
+def _check(samples: np.ndarray, channels: list[str], pose: int, settings: Filter, what: str) -> None:
+    if len(samples) < settings.min_samples:
+        raise InputError(f"{what}: pose {pose} has {len(samples)} samples; allowed is at least {settings.min_samples}")
+    for channel, values in zip(channels, samples.T, strict=True):
+        if len(values) >= _STUCK and np.ptp(values) == 0:
+            raise InputError(
+                f"{what}: pose {pose}: channel {channel!r} is stuck at {values[0] / UNITS['deg']:.6g} degrees "
+                f"for all {len(values)} samples; allowed is a sensor that moves with its noise"
+            )

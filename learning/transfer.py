@@ -1,0 +1,67 @@
+"""Pre-train on a prior, fine-tune on measured poses (Xu, Tian and Zhang 2024, sections 3.2 and 3.4)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from learning.network import Layout, Network, count, initial_weights
+from learning.training import Problem, Trained, levenberg_marquardt
+
+_MOST_WEIGHTS_A_VALUE = 100  # the paper itself has 387 weights for 450 values; far beyond, training is no use
+
+
+def allowed_hidden(n_in: int, n_out: int, n_poses: int) -> int:
+    """The most hidden units a layer may have for networks trained on n_poses poses."""
+    hidden = 1
+    while count((n_in, hidden + 1, hidden + 1, n_out)) <= _MOST_WEIGHTS_A_VALUE * n_poses * n_out:
+        hidden += 1
+    return hidden
+
+
+def new_network(joints: np.ndarray, outputs: np.ndarray, hidden: int, seed: int) -> Network:
+    """A random network scaled to the source task: joints (n, n_in) and outputs (n, n_out)."""
+    low, high = joints.min(axis=0), joints.max(axis=0)
+    layout = Layout.dense(joints.shape[1], hidden, outputs.shape[1])
+    return Network(
+        sizes=layout.sizes,
+        weights=initial_weights(layout, np.random.default_rng([seed, 6])),
+        input_centre=(low + high) / 2,
+        input_scale=(high - low) / 2,
+        output_scale=np.maximum(np.abs(outputs).max(axis=0), 1e-12),
+    )
+
+
+def train(
+    networks: Sequence[Network],
+    joints: np.ndarray,
+    outputs: Sequence[np.ndarray],
+    rows: Sequence[np.ndarray],
+    *,
+    validation: float,
+    iterations: int,
+    seed: int,
+    progress: Callable[[int, float], None] = lambda done, loss: None,
+) -> tuple[list[Network], Trained]:
+    """Train several networks of one shape at once, each on its own outputs (n, n_out) and its own rows of joints (n, n_in).
+
+    validation: share of each one's rows that early stopping looks at, drawn with the seed.
+    """
+    first = networks[0]
+    held, used = np.zeros((len(networks), len(joints))), np.zeros((len(networks), len(joints)))
+    for k, own in enumerate(rows):
+        n_held = int(round(validation * len(own))) if len(own) > 4 else 0
+        order = np.random.default_rng([seed, 7, len(own)]).permutation(own)
+        held[k, order[:n_held]], used[k, order[n_held:]] = 1.0, 1.0
+    problem = Problem(
+        x=np.stack([network.scaled(joints) for network in networks]),
+        offset=-np.stack([y / network.output_scale for network, y in zip(networks, outputs, strict=True)]),
+        gain=None,
+        train=used,
+        validate=held,
+    )
+    layout = Layout(first.sizes, np.ones(len(first.weights), dtype=bool))
+    start = np.stack([network.weights for network in networks])
+    found = levenberg_marquardt(problem, layout, start, iterations=iterations, progress=progress)
+    return [network.with_weights(w) for network, w in zip(networks, found.weights, strict=True)], found

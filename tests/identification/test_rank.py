@@ -1,0 +1,162 @@
+"""Rank and unobservable directions, against numpy on fresh poses and against the residuals themselves."""
+
+from __future__ import annotations
+
+import re
+
+import numpy as np
+import pytest
+
+from identification.estimators import identify
+from identification.identifiability import identifiability
+
+CASES = [
+    ("ur10", ("orientation", "position")),
+    ("ups3_s", ("orientation",)),
+    ("ups3_s", ("tilt",)),
+    ("ups3_frame", ("orientation",)),
+    ("jugglebot", ("orientation", "position")),
+]
+
+
+def enough_poses(loaded, channels) -> int:
+    """Twice as many rows as parameters."""
+    rows = sum({"orientation": 3, "position": 3, "tilt": 2, "yaw": 1}[c] for c in channels)
+    return 2 * len(loaded.model.parameters) // rows + 1
+
+
+def frames_alone(loaded) -> np.ndarray:
+    """p of a robot as drawn, its W and T off."""
+    p = loaded.random_parameters(1)
+    p[:-12] = 0
+    return p
+
+
+def linearised(loaded, channels, n: int, seed: int, p=None) -> np.ndarray:
+    """The Jacobian (sigma 1) at p, by default of a robot as drawn with W and T off."""
+    p = frames_alone(loaded) if p is None else p
+    measured = loaded.measure(p, loaded.readings(n, seed), channels, dict.fromkeys(channels, 1.0))
+    return loaded.model.linearise(p, measured).jacobian
+
+
+def scaled(loaded) -> np.ndarray:
+    """Parameters in units of their tolerance; 1 mm and 1 mrad for W and T."""
+    parameters = loaded.model.parameters
+    return np.where(parameters.flat, 1e-3, parameters.tolerance)
+
+
+@pytest.mark.parametrize("name, channels", CASES)
+def test_rank_is_that_of_fresh_poses(name, channels, robot):
+    """numpy.linalg.matrix_rank of the Jacobian at poses of another seed; the gap is ten orders (science.md, trap 9)."""
+    loaded = robot(name)
+    n = enough_poses(loaded, channels)
+    found = identifiability(linearised(loaded, channels, n, 1), loaded.model.parameters)
+    fresh = linearised(loaded, channels, n, 2)
+    assert found.rank == np.linalg.matrix_rank(fresh * scaled(loaded), rtol=1e-9)
+    assert len(found.unobservable) == len(loaded.model.parameters) - found.rank
+    assert found.singular_values[found.rank] < 1e-9 * found.singular_values[found.rank - 1]
+    assert found.condition_number == pytest.approx(found.singular_values[0] / found.singular_values[found.rank - 1])
+
+
+@pytest.mark.parametrize("name, channels", CASES)
+def test_rank_at_an_identified_robot_is_that_of_fresh_poses(name, channels, robot):
+    """Where identification ended, off from the drawing: the singular values spread, the null ones stay at rounding."""
+    loaded = robot(name)
+    n = enough_poses(loaded, channels)
+    truth, noise = loaded.random_parameters(2), np.random.default_rng(2)
+    measured = loaded.measure(truth, loaded.readings(n, 1), channels, dict.fromkeys(channels, 1e-5), noise)
+    estimate = identify(loaded.model, measured)
+    found = identifiability(estimate.jacobian, loaded.model.parameters)
+    fresh = linearised(loaded, channels, n, 2, estimate.p)
+    assert found.rank == np.linalg.matrix_rank(fresh * scaled(loaded), rtol=1e-13)
+
+
+@pytest.mark.parametrize("name, channels", CASES)
+def test_adding_poses_does_not_change_the_rank(name, channels, robot):
+    loaded = robot(name)
+    n = enough_poses(loaded, channels)
+    ranks = {identifiability(linearised(loaded, channels, k * n, 3), loaded.model.parameters).rank for k in (1, 2, 3)}
+    assert len(ranks) == 1
+
+
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("name, channels", [("ups3_s", ("orientation",)), ("ups3_s", ("tilt",))])
+def test_a_parameter_that_moves_nothing_is_never_identifiable(name, channels, seed, robot):
+    """A robot that is off in every parameter: columns of zeros (translations of W and T) stay outside the rank."""
+    loaded = robot(name)
+    jacobian = linearised(loaded, channels, 150, seed, loaded.random_parameters(seed))
+    still = ~jacobian.any(axis=0)
+    assert still.sum() >= 6
+    found = identifiability(jacobian, loaded.model.parameters)
+    assert found.rank <= len(still) - still.sum()
+    assert not found.identifiable[still].any()
+
+
+def test_ur10_has_the_textbooks_rank(robot):
+    """Everett, Driels, Mooring 1987: 4 a revolute joint and 6 for the frames; here 6 gains more (zeros are among the 4)."""
+    loaded = robot("ur10")
+    jacobian = linearised(loaded, ("orientation", "position"), 60, 4)
+    assert identifiability(jacobian, loaded.model.parameters).rank == 4 * 6 + 6 + 6
+
+
+@pytest.mark.parametrize("name, channels", CASES)
+def test_unobservable_directions_are_in_the_null_space(name, channels, robot):
+    """Each written direction, read back from its text, moves no residual (to the three digits it is written in)."""
+    loaded = robot(name)
+    jacobian = linearised(loaded, channels, enough_poses(loaded, channels), 5)
+    parameters = loaded.model.parameters
+    found = identifiability(jacobian, parameters)
+    lengths = np.linalg.norm(jacobian * scaled(loaded), axis=0)
+    typical = np.median(lengths[lengths > 1e-9 * found.singular_values[0]])
+    assert found.unobservable
+    complete = 0
+    for text in found.unobservable:
+        direction = np.zeros(len(parameters))
+        if match := re.fullmatch(r"(\S+) is not seen at all", text):
+            direction[parameters.names.index(match[1])] = 1
+        else:
+            pivot, terms = re.fullmatch(r"(\S+) trades against (.*)", text).groups()
+            if terms.endswith("smaller"):
+                continue
+            direction[parameters.names.index(pivot)] = 1
+            for factor, other in re.findall(r"([+-][\d.e+-]+) (\S+)", terms):
+                direction[parameters.names.index(other)] = float(factor)
+        complete += 1
+        weights = direction / scaled(loaded)
+        effect = np.linalg.norm(jacobian @ direction) / np.abs(weights).max()
+        assert effect < 1e-2 * typical, text
+    assert complete >= len(found.unobservable) // 3
+
+
+@pytest.mark.parametrize("name, channels", CASES)
+def test_identifiable_parameters_do_not_take_part_in_the_null_space(name, channels, robot):
+    """Share of each parameter's unit vector in numpy's row space, by a full SVD of the tall matrix."""
+    loaded = robot(name)
+    jacobian = linearised(loaded, channels, enough_poses(loaded, channels), 6)
+    found = identifiability(jacobian, loaded.model.parameters)
+    _, singular, vt = np.linalg.svd(jacobian * scaled(loaded), full_matrices=False)
+    null_space = vt[singular < 1e-9 * singular[0]]
+    np.testing.assert_allclose(found.observable_share, 1 - np.sum(null_space**2, axis=0), rtol=0, atol=1e-6)
+    np.testing.assert_array_equal(found.identifiable, np.sum(null_space**2, axis=0) < 1e-6)
+
+
+def test_what_orientation_alone_cannot_see_is_not_identifiable(robot):
+    """A platform that turns about a fixed centre: instrument and target translations move no orientation."""
+    loaded = robot("ups3_s")
+    jacobian = linearised(loaded, ("orientation",), 80, 7)
+    found = identifiability(jacobian, loaded.model.parameters)
+    by_name = dict(zip(loaded.model.parameters.names, found.identifiable, strict=True))
+    assert not any(by_name[f"{frame}.{c}"] for frame in ("instrument", "target") for c in "xyz")
+    text = "\n".join(found.unobservable)
+    assert "instrument.x is not seen at all" in text
+    assert "target.z is not seen at all" in text
+
+
+def test_tilt_loses_what_orientation_sees(robot):
+    """science.md, trap 7: more is lost than yaw; the rank falls, never rises."""
+    loaded = robot("ups3_s")
+    ranks = [
+        identifiability(linearised(loaded, channels, 150, 8), loaded.model.parameters).rank
+        for channels in (("tilt",), ("tilt", "yaw"), ("orientation",), ("orientation", "position"))
+    ]
+    assert ranks[0] < ranks[1] == ranks[2] < ranks[3]

@@ -1,0 +1,139 @@
+"""`kincal status`: which stages are fresh, which are stale, and what made them so."""
+
+import json
+
+import pytest
+
+from pipeline.runner import explain
+
+
+def rows(run) -> dict[str, tuple[str, str]]:
+    return {stage: (state, why) for stage, state, why in run.status()}
+
+
+def test_missing_before_the_first_run(start, tmp_path, stage_names):
+    found = rows(start(tmp_path / "store")[0])
+    assert tuple(found) == stage_names
+    assert {state for state, _ in found.values()} == {"missing"}
+    assert found["model"] == ("missing", "never ran for this robot")
+
+
+def test_fresh_after_a_run(start, finished, store):
+    assert set(rows(start(store, *finished.settings)[0]).values()) == {("fresh", "")}
+
+
+def test_half_a_run(start, tmp_path):
+    run, _ = start(tmp_path / "store", "plan.poses=12")
+    run.until("plan")
+    states = {stage: state for stage, (state, _) in rows(start(tmp_path / "store", "plan.poses=12")[0]).items()}
+    assert (states["model"], states["plan"], states["measure"]) == ("fresh", "fresh", "missing")
+
+
+@pytest.mark.parametrize(
+    "setting, stage, why",
+    [
+        ("plan.poses=13", "plan", "setting plan.poses 12 -> 13"),
+        ("sensor.orientation_deg=0.001", "measure", "setting sensor.orientation_deg 0.0006 -> 0.001"),
+        ("measure.errors.elastic=false", "measure", "setting measure.errors.elastic True -> False"),
+        ("identify.max_iterations=40", "identify", "setting identify.max_iterations 50 -> 40"),
+        ("evaluate.fresh_poses=600", "evaluate", "setting evaluate.fresh_poses 500 -> 600"),
+        ("workspace.max_condition=99", "model", "setting mechanism.workspace.max_condition 100.0 -> 99.0"),
+    ],
+)
+def test_a_setting_is_named(start, store, stage_names, setting, stage, why):
+    found = rows(start(store, "plan.poses=12", setting)[0])
+    assert found[stage] == ("stale", why)
+    first = stage_names.index(stage)
+    assert {found[name][0] for name in stage_names[:first]} <= {"fresh"}
+    assert {found[name][0] for name in stage_names[first:]} == {"stale"}
+
+
+def test_a_changed_file_is_named(start, store, robot_folder):
+    run, _ = start(store, "plan.poses=12", robot=robot_folder)
+    run.until("report")
+    urdf = robot_folder / "robot.urdf"
+    urdf.write_text(urdf.read_text() + "<!-- moved -->\n")
+    assert rows(start(store, "plan.poses=12", robot=robot_folder)[0])["model"] == ("stale", "file urdf changed")
+
+
+def test_a_changed_table_is_named(start, store, finished, tmp_path):
+    table = tmp_path / "table.csv"
+    finished.table.to_csv(table, index=False)
+    settings = ("plan.poses=12", "measure.source=files", f"measure.table={table}")
+    start(store, *settings)[0].until("measure")
+    assert rows(start(store, *settings)[0])["measure"] == ("fresh", "")
+    finished.table.head(11).to_csv(table, index=False)
+    assert rows(start(store, *settings)[0])["measure"] == ("stale", "file measure.table changed")
+
+
+def test_changed_code_is_named(kincal, start, store, tmp_path, copy_project):
+    """With the project's packages copied, and a helper three imports away changed."""
+    root = copy_project(tmp_path / "project")
+    robot = root / "urdf" / "robots" / "ups3_s"
+    start(store, "plan.poses=12", robot=robot)[0].until("report")
+    file = root / "urdf" / "rigid_motion.py"
+    file.write_text(file.read_text() + "\n_CHANGED = 1\n")
+    answer = kincal("status", robot, "--set", "plan.poses=12", "--store", store, "--json", root=root)
+    assert answer.status == 0, answer.err
+    assert json.loads(answer.out)[0] == {
+        "stage": "model",
+        "state": "stale",
+        "why": "code urdf.rigid_motion changed",
+    }
+
+
+def test_status_changes_nothing(start, store):
+    before = {f: f.stat().st_mtime_ns for f in store.rglob("*")}
+    rows(start(store, "plan.poses=13")[0])
+    assert {f: f.stat().st_mtime_ns for f in store.rglob("*")} == before
+
+
+@pytest.mark.parametrize("damage", [b"", b"{}", None])
+def test_status_of_a_damaged_store(start, store, damage):
+    """Says that the artifact is gone or damaged, and leaves it where it is for the next run to set aside."""
+    (file,) = (store / "artifacts").glob("evaluate/*/manifest.json")
+    if damage is None:
+        file.unlink()
+    else:
+        file.write_bytes(damage)
+    found = rows(start(store, "plan.poses=12")[0])
+    assert found["identify"][0] == "fresh"
+    assert found["evaluate"][0] in ("stale", "missing")
+    assert "damaged" in found["evaluate"][1]
+    assert file.parent.exists()
+
+
+# The reason, from two manifests' parts
+
+PARTS = {
+    "settings": {"plan": {"poses": 150, "layout": None}, "seed": 0},
+    "files": {"urdf": "aa"},
+    "inputs": {"model": "bb"},
+    "code": {"pipeline.stages:plan": "cc", "urdf.kinematics": "dd"},
+    "libraries": {"numpy": "2.4", "scipy": "1.17"},
+}
+
+
+@pytest.mark.parametrize(
+    "group, old, why",
+    [
+        ("settings", {"plan": {"poses": 100, "layout": None}, "seed": 0}, "setting plan.poses 100 -> 150"),
+        (
+            "settings",
+            {"plan": {"poses": 100, "layout": None}, "seed": 1},
+            "setting plan.poses 100 -> 150 and 1 more",
+        ),
+        ("files", {"urdf": "ab"}, "file urdf changed"),
+        ("files", {}, "file urdf changed"),
+        ("inputs", {"model": "bc"}, "input model changed"),
+        ("code", {"pipeline.stages:plan": "cc", "urdf.kinematics": "de"}, "code urdf.kinematics changed"),
+        ("libraries", {"numpy": "2.3", "scipy": "1.17"}, "library numpy 2.3 -> 2.4"),
+    ],
+)
+def test_explain(group, old, why):
+    assert explain({"parts": PARTS | {group: old}}, PARTS) == why
+
+
+def test_explain_the_first_run_and_a_lost_artifact():
+    assert explain(None, PARTS) == "never ran for this robot"
+    assert explain({"parts": PARTS}, PARTS) == "its artifact is gone or damaged"
