@@ -18,6 +18,7 @@ from urdf.errors import CalibrationError, InputError
 
 _FLAT_SCALE = 1e-2  # a natural size for W and T in the scaled Jacobian [m, rad]; decides nothing but rounding
 _NULL = 1e-11  # relative to the largest singular value: below, neither data nor prior see the direction
+_LEAST = 1e-3  # damping, in units of the priors' own information; less is none
 _STEP = 1e-7  # converged: no parameter moves by more than this part of its sigma
 _COST = 1e-9  # or the cost falls by less than this part of it ..
 _LEVEL = 1e-6  # .. and by less than this in absolute terms
@@ -39,7 +40,7 @@ class Estimate:
     message: str
 
 
-def register(model: ErrorModel, measured: Measurements, max_iterations: int = 50) -> Estimate:
+def register(model: ErrorModel, measured: Measurements, max_iterations: int = 300) -> Estimate:
     """Fit W and T alone to the nominal robot: what `nominal` means.
 
     Raises InputError for too few poses or loops that can't be closed, CalibrationError where no start converges.
@@ -55,7 +56,7 @@ def register(model: ErrorModel, measured: Measurements, max_iterations: int = 50
 
 
 def refit(
-    model: ErrorModel, measured: Measurements, p: np.ndarray, free: np.ndarray, max_iterations: int = 50
+    model: ErrorModel, measured: Measurements, p: np.ndarray, free: np.ndarray, max_iterations: int = 300
 ) -> Estimate:
     """Fit the parameters `free` (bool) anew from p, the others held; W from a closed-form start where it is free.
 
@@ -80,7 +81,7 @@ def _best(found: list[Estimate], what: str) -> Estimate:
     return best
 
 
-def identify(model: ErrorModel, measured: Measurements, max_iterations: int = 50) -> Estimate:
+def identify(model: ErrorModel, measured: Measurements, max_iterations: int = 300) -> Estimate:
     """All parameters, the manufacturing tolerances as priors; W and T have flat ones and start registered.
 
     Raises InputError as `register` does, CalibrationError where the iteration does not converge.
@@ -94,7 +95,7 @@ def identify(model: ErrorModel, measured: Measurements, max_iterations: int = 50
 
 
 def left_out(model: ErrorModel, at: Linearisation, p: np.ndarray, rows: np.ndarray, n: int) -> np.ndarray:
-    """Whitened residuals (all rows) of an identification that has not seen the poses `rows` of n: one linear step from p."""
+    """Whitened residuals (all rows) of an identification without the poses `rows` of n: one linear step from p."""
     per_pose = len(at.residual) // n
     kept = np.setdiff1d(np.arange(n), rows)
     pick = (kept[:, None] * per_pose + np.arange(per_pose)).ravel()
@@ -120,8 +121,8 @@ def _minimise(
     here = model.linearise(p, measured, q)
     if here is None:
         raise CalibrationError("the loops can't be closed at the start")
-    cost, damping, message = _cost(here, p, sigma), 0.0, f"not converged after {max_iterations} iterations"
-    success, iteration = False, 0
+    cost, message = _cost(here, p, sigma), f"not converged after {max_iterations} iterations"
+    damping, growth, success, iteration = 0.0, 2.0, False, 0
     while iteration < max_iterations and not success:
         iteration += 1
         step = np.zeros(len(p))
@@ -130,17 +131,26 @@ def _minimise(
         trial_cost = np.inf if trial is None else _cost(trial, p + step, sigma)
         small = np.max(np.abs(step[free]) / scale) < _STEP
         if trial is not None and trial_cost <= cost * (1 + 1e-12):
-            success = bool(
-                small or (cost - trial_cost < _COST * cost and cost - trial_cost < _LEVEL and damping < 1e-3)
-            )
-            p, here, cost, damping = p + step, trial, trial_cost, (damping / 10 if damping > 1e-9 else 0.0)
+            fall = cost - trial_cost
+            success = bool(small or (fall < _COST * cost and fall < _LEVEL and damping < _LEAST))
+            # Nielsen (1999): the damping follows how well the linear model foretold the fall
+            ratio = np.clip(fall / max(_foretold(here, p, sigma, step), 1e-300), 0.0, 1.0)
+            damping *= max(1 / 3, 1 - (2 * ratio - 1) ** 3)
+            damping, growth = (damping if damping > _LEAST else 0.0), 2.0
+            p, here, cost = p + step, trial, trial_cost
         elif small:
             success = True  # the minimum to rounding
         else:
-            damping = max(10 * damping, 1e-6)
+            damping, growth = max(damping, _LEAST) * growth, 2 * growth
         message = "converged" if success else message
     covariance, unseen = _covariance(here, sigma, free, scale)
     return Estimate(p, covariance, unseen, here.jacobian, here.residual, here.q, cost, iteration, success, message)
+
+
+def _foretold(at: Linearisation, p: np.ndarray, sigma: np.ndarray, step: np.ndarray) -> float:
+    """By how much the cost would fall if the model were linear."""
+    after = at.residual + at.jacobian @ step
+    return _cost(at, p, sigma) - 0.5 * float(after @ after + np.sum(((p + step) / sigma) ** 2))
 
 
 def _cost(at: Linearisation, p: np.ndarray, sigma: np.ndarray) -> float:
@@ -160,7 +170,7 @@ def _factor(at: Linearisation, p: np.ndarray, sigma: np.ndarray, free: np.ndarra
 def _step(at, p, sigma, free, scale, damping) -> np.ndarray:
     singular, vt, right = _factor(at, p, sigma, free, scale)
     seen = singular > _NULL * singular[0]
-    gain = np.where(seen, singular / (singular**2 + damping * singular[0] ** 2 + (~seen)), 0.0)
+    gain = np.where(seen, singular / (singular**2 + damping + (~seen)), 0.0)
     return -scale * (vt.T @ (gain * right))
 
 

@@ -10,6 +10,7 @@ import scipy.linalg
 from identification.error_model import Parameters
 
 _NULL = 1e-10  # relative to the largest singular value: no exactly null one is larger, by rounding alone
+_GAP = 100.0  # a narrower one decides nothing
 _FLAT_SCALE = 1e-3  # W and T have no tolerance: one millimetre, one milliradian
 _SHARE = 1e-6
 _TERMS = 5  # of a direction, written out
@@ -33,24 +34,33 @@ class Identifiability:
 
 
 def identifiability(jacobian: np.ndarray, parameters: Parameters) -> Identifiability:
-    """jacobian: (rows, n_parameters) of the whitened residuals."""
+    """jacobian: (rows, n_parameters) of the whitened residuals, at the geometry as drawn.
+
+    There the gap between what is seen and what is not is wide. Where every axis is a little off, as built, effects of
+    second order close it: singular values that are not zero, and far too small for any measurement to tell.
+    """
     n = len(parameters)
     scale = np.where(parameters.flat, _FLAT_SCALE, parameters.tolerance)
     _, singular, vt = scipy.linalg.svd(np.linalg.qr(jacobian * scale, mode="r"), full_matrices=True)
     singular = np.concatenate([singular, np.zeros(n - len(singular))])
-    tolerance = _rank_tolerance(singular)
+    tolerance = _rank_tolerance(singular, len(jacobian))
     rank = int(np.sum(singular > tolerance))
     share = np.sum(vt[:rank] ** 2, axis=0)
     condition = float(singular[0] / singular[rank - 1]) if rank else float("inf")
     return Identifiability(rank, singular, tolerance, condition, share, _in_names(vt[rank:].T, scale, parameters))
 
 
-def _rank_tolerance(singular: np.ndarray) -> float:
-    """In the widest gap (on a log scale) above a singular value that may be null; exact derivatives make it wide."""
-    floor = np.finfo(float).eps * singular[0] * 1e-3
-    values = np.append(np.maximum(singular, floor), floor)
+def _rank_tolerance(singular: np.ndarray, rows: int) -> float:
+    """In the widest gap (on a log scale) above a singular value that may be null: exact derivatives make it wide.
+
+    Where no gap stands out, rounding decides, as in numpy's matrix_rank.
+    """
+    floor = max(rows, len(singular)) * np.finfo(float).eps * float(singular[0])
+    values = np.maximum(singular, floor)
     gaps = np.where(values[1:] < _NULL * singular[0], values[:-1] / values[1:], 0.0)
-    widest = int(np.argmax(gaps))
+    widest = int(np.argmax(gaps)) if len(gaps) else 0
+    if not len(gaps) or gaps[widest] < _GAP:
+        return floor
     return float(np.sqrt(values[widest] * values[widest + 1]))
 
 

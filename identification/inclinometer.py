@@ -13,12 +13,14 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
+from scipy.special import chdtri
 
 from identification.measurements import UNITS, load, numbers
 from urdf.description import Column, Filter, Measure, Sensor
 from urdf.errors import InputError
 
 CHANNELS = ("roll", "pitch", "yaw")
+_SENSORS = ((0, 1), (2,))  # an inclinometer's roll and pitch, and a heading reference: each is gated by itself
 _DIFFUSE = 10.0  # one sigma of the state before the first sample [rad]
 _STUCK = 10  # samples: fewer may well be alike
 
@@ -61,10 +63,10 @@ def filter_stream(stream: pd.DataFrame, poses: np.ndarray, sensor: Sensor, setti
     """
     channels = [c for c in CHANNELS if c in stream]
     sigma = np.deg2rad([sensor.tilt_deg, sensor.tilt_deg, sensor.yaw_deg])[: len(channels)]
-    grouped = {int(pose): part for pose, part in stream.groupby("pose", sort=False)}
+    grouped = dict(iter(stream.groupby("pose", sort=False)))
     rows = []
     for pose in poses:
-        part = grouped.get(int(pose))
+        part = grouped.get(pose)
         if part is None:
             raise InputError(f"{what}: pose {pose} has no sample; allowed is at least {settings.min_samples}")
         samples = part[channels].to_numpy(float)
@@ -76,7 +78,12 @@ def filter_stream(stream: pd.DataFrame, poses: np.ndarray, sensor: Sensor, setti
                 f"allowed are poses with at least {settings.min_samples} good ones"
             )
         variance = np.diag(found.covariance)
-        row = {"pose": int(pose), "roll": found.angles[0], "pitch": found.angles[1], "tilt_std": np.sqrt(variance[:2].mean())}
+        row = {
+            "pose": int(pose),
+            "roll": found.angles[0],
+            "pitch": found.angles[1],
+            "tilt_std": np.sqrt(variance[:2].mean()),
+        }
         if "yaw" in channels:
             row |= {"yaw": found.angles[2], "yaw_std": np.sqrt(variance[2])}
         rows.append(row | {"used": found.used, "gated": found.gated})
@@ -84,35 +91,32 @@ def filter_stream(stream: pd.DataFrame, poses: np.ndarray, sensor: Sensor, setti
 
 
 def static_attitude(t: np.ndarray, samples: np.ndarray, sigma: np.ndarray, settings: Filter) -> StaticAttitude:
-    """The attitude behind one pose's samples (n, k) [rad] at times t (n,) [s]; sigma (k,): noise of one sample [rad]."""
+    """The attitude behind one pose's samples (n, k) [rad] at times t (n,) [s]; sigma (k,): a sample's noise [rad]."""
     from filterpy.kalman import ExtendedKalmanFilter  # imports matplotlib: a second
 
     k = samples.shape[1]
     ekf = ExtendedKalmanFilter(dim_x=k, dim_z=k)
     ekf.x = samples[0].copy()  # a diffuse state: where it stands does not matter, but for the wrap-around
     ekf.P = np.eye(k) * _DIFFUSE**2
-    drift = np.deg2rad(settings.drift_deg_per_sqrt_s) ** 2
-    sensors = [slice(0, 2), slice(2, 3)][: 1 + (k > 2)]
+    eye, noise, drift = np.eye(k), sigma**2, np.deg2rad(settings.drift_deg_per_sqrt_s) ** 2
+    gates = {part: float(chdtri(len(part), settings.gate_probability)) for part in _SENSORS if part[-1] < k}
     window = _centre(samples[: settings.window])
-    gates = [settings.gate_sigma**2 + 2 * part.stop - 2 * part.start for part in sensors]
-    used = gated = 0
-    last = t[0]
+    used, gated, last = 0, 0, t[0]
     for time, sample in zip(t, samples, strict=True):
-        ekf.Q = np.eye(k) * (drift * (time - last))
+        ekf.Q = eye * (drift * (time - last))
         ekf.predict()
         last = time
-        good = True
-        for part, gate in zip(sensors, gates, strict=True):
-            noise = sigma[part] ** 2
-            known = np.diag(ekf.P)[part] < noise  # until then the window's median is the better reference
-            reference = ekf.x[part] if known.all() else window[part]
-            spread = noise + (np.diag(ekf.P)[part] if known.all() else noise / 4)
-            if np.sum(_wrap(sample[part] - reference) ** 2 / spread) > gate:
-                good = False
-                continue
-            observe = np.eye(k)[part]
-            ekf.update(sample[part], lambda x, h=observe: h, lambda x, h=observe: h @ x, R=np.diag(noise), residual=_difference)
-        used, gated = used + good, gated + (not good)
+        variance = np.diag(ekf.P)
+        known = variance < noise  # until then the window's median is the better reference
+        innovation = _wrap(sample - np.where(known, ekf.x, window))
+        distance = innovation**2 / (noise + np.where(known, variance, noise / 4))
+        good = [i for part, gate in gates.items() if sum(distance[i] for i in part) <= gate for i in part]
+        used, gated = used + (len(good) == k), gated + (len(good) < k)
+        if good:
+            h = eye[good]
+            ekf.update(
+                sample[good], lambda x, h=h: h, lambda x, h=h: h @ x, R=np.diag(noise[good]), residual=_difference
+            )
     return StaticAttitude(_wrap(ekf.x), ekf.P, used, gated)
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -13,7 +14,7 @@ from urdf.actuators import Actuators
 from urdf.closed_chain import ClosedChain
 from urdf.description import Column, Measure, Sensor, Tolerance, nearest
 from urdf.errors import InputError
-from urdf.rigid_motion import from_xyz_angles
+from urdf.rigid_motion import Motion, from_xyz_angles, from_zyx_angles
 
 UNITS = {"m": 1.0, "mm": 1e-3, "rad": 1.0, "deg": np.pi / 180, "rev": 2 * np.pi, "1": 1.0}
 QUATERNION = ("qx", "qy", "qz", "qw")
@@ -49,6 +50,15 @@ class Measurements:
     def __getitem__(self, rows) -> Measurements:
         values = {k: v[rows] for k, v in self.__dict__.items() if v is not None}
         return replace(self, **values)
+
+    def as_poses(self) -> Motion:
+        """What was measured, as poses (n); what was not is the identity, and must not be scored."""
+        rotation, n = self.orientation, len(self)
+        if rotation is None:
+            tilt = np.zeros((n, 2)) if self.tilt is None else self.tilt
+            yaw = np.zeros(n) if self.yaw is None else self.yaw
+            rotation = from_zyx_angles(np.column_stack([yaw, tilt[:, 1], tilt[:, 0]]))
+        return Motion(rotation, np.zeros((n, 3)) if self.position is None else self.position)
 
     @property
     def channels(self) -> tuple[str, ...]:
@@ -96,11 +106,18 @@ def load(file: Path, measure: Measure) -> pd.DataFrame:
     try:
         if file.suffix.lower() in (".parquet", ".pq"):
             return pd.read_parquet(file)
-        return pd.read_csv(file, sep=measure.separator, decimal=measure.decimal, skipinitialspace=True)
+        options: dict[str, Any] = {"sep": measure.separator, "skipinitialspace": True}
+        header = pd.read_csv(file, header=None, nrows=1, dtype=str, **options).iloc[0].tolist()
+        repeated = [name for name in header if header.count(name) > 1]
+        if repeated:
+            raise InputError(f"{file}: column {repeated[0]!r} stands there twice; allowed is once")
+        return pd.read_csv(file, decimal=measure.decimal, **options)
     except OSError as error:
         raise InputError(f"{file}: can't be read: {error.strerror or error}") from None
     except pd.errors.EmptyDataError:
         raise InputError(f"{file}: the file is empty; a header and at least one row are needed") from None
+    except InputError:
+        raise
     except (ValueError, UnicodeDecodeError) as error:  # pyarrow's and pandas' parsers raise kinds of ValueError
         raise InputError(f"{file}: not a table that can be read: {' '.join(str(error).split())[:200]}") from None
 
@@ -108,7 +125,7 @@ def load(file: Path, measure: Measure) -> pd.DataFrame:
 def numbers(values: Sequence[object], column: Column, file: Path) -> np.ndarray:
     """Column values as finite numbers in SI units. Raises InputError that names the row."""
     found = np.array(pd.to_numeric(pd.Series(values), errors="coerce"), dtype=float)
-    bad = np.flatnonzero(~np.isfinite(found))
+    bad = np.flatnonzero(~np.isfinite(found) | [isinstance(value, bool) for value in values])
     if len(bad):
         raise InputError(
             f"{file}: column {column.source!r}, row {bad[0] + 1}: found {values[bad[0]]!r}; allowed are finite numbers"

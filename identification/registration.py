@@ -84,8 +84,7 @@ def _orientation(measured: Measurements) -> np.ndarray | None:
     if measured.orientation is not None:
         return measured.orientation
     if measured.tilt is not None and measured.yaw is not None:
-        angles = np.column_stack([measured.yaw, measured.tilt[:, 1], measured.tilt[:, 0]])
-        return Rotation.from_euler("ZYX", angles).as_matrix()
+        return measured.as_poses().rotation
     return None
 
 

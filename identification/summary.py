@@ -13,10 +13,10 @@ from identification.measurements import Measurements
 _OUTLIER = 3.5  # times the median error of its kind: 5.4 sigma where errors are Gaussian
 
 
-def summarise(model: ErrorModel, measured: Measurements, estimate: Estimate) -> Identification:
-    """An estimate from `measured`, with its identifiability, residuals and outliers."""
+def summarise(model: ErrorModel, measured: Measurements, estimate: Estimate, registered: Estimate) -> Identification:
+    """An estimate from `measured`, its residuals and outliers; identifiability is that of the `registered` robot."""
     parameters = model.parameters
-    seen = identifiability(estimate.jacobian, parameters)
+    seen = identifiability(registered.jacobian, parameters)
     residual = estimate.residual.reshape(len(measured), -1)
     size, by_channel = _residuals(model, measured, estimate)
     variance = np.where(estimate.unseen, np.inf, np.diag(estimate.covariance))

@@ -6,6 +6,7 @@ Used in numpy, trained in torch: who predicts need not wait for torch.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 
@@ -78,7 +79,7 @@ def count(sizes: tuple[int, int, int, int]) -> int:
 def split(weights, sizes: tuple[int, int, int, int]) -> list:
     """Views W1 (H, n_in), b1, W2 (H, H), b2, W3 (n_out, H), b3 of flat weights (..., n_weights); numpy or torch."""
     found, start = [], 0
-    for n_in, n_out in zip(sizes[:-1], sizes[1:], strict=True):
+    for n_in, n_out in pairwise(sizes):
         found.append(weights[..., start : start + n_out * n_in].reshape(*weights.shape[:-1], n_out, n_in))
         start += n_out * n_in
         found.append(weights[..., start : start + n_out])

@@ -12,7 +12,6 @@ from itertools import combinations
 import numpy as np
 
 from learning.network import Layout, Network, initial_weights
-from learning.training import Problem, levenberg_marquardt
 
 _DECAYS = (0.01, 0.1, 1.0, 10.0, 100.0)
 _SURE = 2.0  # standard errors by which the correction must pay in cross-validation
@@ -78,6 +77,8 @@ def fit_correction(
 
     folds: rows held out in turn; fold_errors: (n_folds, n, m), the model's errors where it has not seen that fold.
     """
+    from learning.training import Problem, levenberg_marquardt  # imports torch: two seconds, for those who train
+
     layout = Layout.joint_wise(x.shape[1], own, shared)
     low, high = x.min(axis=0), x.max(axis=0)
     span = np.maximum((high - low) / 2, 1e-12)
@@ -96,9 +97,13 @@ def fit_correction(
 
     def fit(offsets: np.ndarray, rows: np.ndarray, decays: np.ndarray) -> np.ndarray:
         n = len(offsets)
-        problem = Problem(np.repeat(scaled[None], n, 0), offsets, np.repeat(gain[None], n, 0), rows, np.zeros_like(rows))
+        problem = Problem(
+            np.repeat(scaled[None], n, 0), offsets, np.repeat(gain[None], n, 0), rows, np.zeros_like(rows)
+        )
         begins = np.repeat(start[None], n, 0)
-        return levenberg_marquardt(problem, layout, begins, iterations=iterations, patience=iterations, decay=decays).weights
+        return levenberg_marquardt(
+            problem, layout, begins, iterations=iterations, patience=iterations, decay=decays
+        ).weights
 
     offsets = np.stack([fold_errors[k] for _, k in cases])
     weights = fit(offsets, train, np.array([decay for decay, _ in cases]))

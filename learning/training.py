@@ -58,7 +58,9 @@ def levenberg_marquardt(
     gain = None if problem.gain is None else torch.from_numpy(np.ascontiguousarray(problem.gain, dtype=np.float64))
     active = torch.from_numpy(np.flatnonzero(layout.mask))
     prior = torch.from_numpy(np.array(start, dtype=np.float64))
-    pull = torch.zeros(len(x), dtype=torch.float64) if decay is None else torch.from_numpy(np.asarray(decay, dtype=float))
+    pull = (
+        torch.zeros(len(x), dtype=torch.float64) if decay is None else torch.from_numpy(np.asarray(decay, dtype=float))
+    )
     weights, damping = prior.clone(), torch.full((len(x),), _DAMPING[0], dtype=torch.float64)
 
     def losses(w: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:

@@ -44,14 +44,14 @@ def train(
     seed: int,
     progress: Callable[[int, float], None] = lambda done, loss: None,
 ) -> tuple[list[Network], Trained]:
-    """Train several networks of one shape at once, each on its own outputs (n, n_out) and its own rows of joints (n, n_in).
+    """Train several networks of one shape at once, each on its own outputs (n, n_out) and rows of joints (n, n_in).
 
     validation: share of each one's rows that early stopping looks at, drawn with the seed.
     """
     first = networks[0]
     held, used = np.zeros((len(networks), len(joints))), np.zeros((len(networks), len(joints)))
     for k, own in enumerate(rows):
-        n_held = int(round(validation * len(own))) if len(own) > 4 else 0
+        n_held = round(validation * len(own)) if len(own) > 4 else 0
         order = np.random.default_rng([seed, 7, len(own)]).permutation(own)
         held[k, order[:n_held]], used[k, order[n_held:]] = 1.0, 1.0
     problem = Problem(

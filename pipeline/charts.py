@@ -1,8 +1,8 @@
 """What the paper's networks put out: the tool's pose in a chart that is regular at home, of what was measured.
 
-Orientation: intrinsic XYZ angles of home orientation^T * orientation of the tool in the base frame, after the registered W
-and T are taken off; position: from home along the base axes. Tilt alone: two coordinates of the vertical, turned so that
-home's is (0, 0, 1). What was not measured is not learned; where a pose needs it, the model fills it in.
+Orientation: intrinsic XYZ angles of home orientation^T * orientation of the tool in the base frame, the registered W
+and T taken off; position: from home along the base axes. Tilt alone: two coordinates of the vertical, turned so
+that home's is (0, 0, 1). What was not measured is not learned; where a pose needs it, the model fills it in.
 """
 
 from __future__ import annotations

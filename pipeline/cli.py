@@ -146,7 +146,7 @@ def status(robot: str, *, json: Json = False, common: Common | None = None) -> N
 
 @app.command
 def predict(
-    robot: str, *, joints: Path, method: str = "geometric", json: Json = False, common: Common | None = None
+    robot: str, *, joints: Path, method: str = "hybrid", json: Json = False, common: Common | None = None
 ) -> None:
     """Measured-like poses, with sigma, at given actuator readings; a CSV table on stdout.
 
@@ -159,11 +159,25 @@ def predict(
     """
     from pipeline.queries import predicted_table
 
-    table = predicted_table(_session(robot, common), joints, method)
-    if json:
-        _print_json(table.to_dict(orient="records"))
-    else:
-        sys.stdout.write(table.to_csv(index=False))
+    _print_table(predicted_table(_session(robot, common), joints, method), json)
+
+
+@app.command
+def compensate(
+    robot: str, *, poses: Path, method: str = "hybrid", json: Json = False, common: Common | None = None
+) -> None:
+    """Joint commands that reach the given poses; a CSV table on stdout.
+
+    Parameters
+    ----------
+    robot: A shipped robot's name, or the path to a robot.toml.
+    poses: A CSV or Parquet table of desired poses in the measurement frame: the columns of a measurement table.
+    method: One of the methods that `compare` lists.
+    json: One JSON document on stdout instead.
+    """
+    from pipeline.queries import compensated_table
+
+    _print_table(compensated_table(_session(robot, common), poses, method), json)
 
 
 @app.command
@@ -259,6 +273,10 @@ def _show_comparison(compared) -> None:
     out.print(Text(f"{compared.robot}: {compared.n_poses} measured poses ({source}), scored on {scored}", style="bold"))
     for table in comparison_tables(compared.methods, compared.raw_nominal):
         _show_table(table)
+    if compared.closed_loop:
+        out.print(Text(f"after compensation, reached against desired ({compared.closed_loop_on})", style="bold"))
+        for table in comparison_tables(compared.closed_loop):
+            _show_table(table)
 
 
 def _show_table(table, align: Literal["left", "right"] = "right") -> None:
@@ -273,6 +291,13 @@ def _show_table(table, align: Literal["left", "right"] = "right") -> None:
 def _show_outliers(found) -> None:
     for outlier in found.outliers:
         out.print(f"outlier: pose {outlier.pose}: {outlier.reason}")
+
+
+def _print_table(table, as_json: bool) -> None:
+    if as_json:
+        _print_json(table.to_dict(orient="records"))
+    else:
+        sys.stdout.write(table.to_csv(index=False))
 
 
 def _print_json(document: Any) -> None:

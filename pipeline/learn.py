@@ -14,7 +14,6 @@ from learning.network import Network
 from learning.residual import fit_correction
 from learning.transfer import allowed_hidden, new_network, train
 from pipeline.charts import Chart
-from pipeline.comparison import measured_poses
 from pipeline.results import Fit, Learned, Pretrained
 from urdf.description import Pretrain, Split, Transfer
 from urdf.errors import InputError
@@ -40,19 +39,21 @@ def pretrained(
     tasks = [chart.of_tool(chart.robot.close(readings).require(_where).pose) for chart in as_drawn]
     largest = allowed_hidden(readings.shape[1], as_drawn[0].n_out, n_poses)
     if settings.hidden > largest:
-        raise InputError(f"pretrain.hidden = {settings.hidden}: too large a network for {n_poses} poses; allowed is {largest}")
+        raise InputError(
+            f"pretrain.hidden = {settings.hidden}: too large a network for {n_poses} poses; allowed is {largest}"
+        )
     start = new_network(readings, tasks[0], settings.hidden, seed)
     unique: dict[bytes, Network] = {}
     curve = np.zeros((0, 2))
     for task in tasks:
         if task.tobytes() not in unique:
-            networks, trained = _train(start, readings, [task], settings.validation, settings.iterations, seed)
+            networks, trained = _train(start, readings, task, settings.validation, settings.iterations, seed)
             unique[task.tobytes()], curve = networks[0], trained.curve
     nominal = [unique[task.tobytes()] for task in tasks]
     identified = []
     for network, chart in zip(nominal, as_built, strict=True):
         task = chart.of_tool(chart.robot.close(readings).require(_where).pose)
-        identified += _train(network, readings, [task], settings.validation, settings.continued, seed)[0]
+        identified += _train(network, readings, task, settings.validation, settings.continued, seed)[0]
     return Pretrained(start, tuple(nominal), tuple(identified), curve)
 
 
@@ -60,9 +61,9 @@ def _where(row: int) -> str:
     return f"prior: pose {row}"
 
 
-def _train(network: Network, readings: np.ndarray, tasks: list[np.ndarray], validation: float, iterations: int, seed: int):
-    rows = [np.arange(len(readings))] * len(tasks)
-    return train([network] * len(tasks), readings, tasks, rows, validation=validation, iterations=iterations, seed=seed)
+def _train(network: Network, readings: np.ndarray, task: np.ndarray, validation: float, iterations: int, seed: int):
+    rows = [np.arange(len(readings))]
+    return train([network], readings, [task], rows, validation=validation, iterations=iterations, seed=seed)
 
 
 def learned(
@@ -74,12 +75,12 @@ def learned(
     split: Split,
     seed: int,
 ) -> Learned:
-    """All that is learned from the poses that `fit` was trained on; networks: random, nominal prior, identified prior."""
+    """All that is learned from the poses that `fit` has seen; networks: random, nominal prior, identified prior."""
     own = np.setdiff1d(np.arange(len(measured)), fit.test)
     poses = measured[own]
     as_drawn = Chart(model.robot(fit.registered), measured.channels)
     as_built = Chart(model.robot(fit.identified), measured.channels)
-    pose = measured_poses(poses)
+    pose = poses.as_poses()
     drawn, built = as_drawn.of_measured(poses, pose), as_built.of_measured(poses, pose)
     (network, transfer, transfer_identified), trained = train(
         networks,

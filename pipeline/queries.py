@@ -1,38 +1,50 @@
-"""Questions to a calibrated robot: predictions, and its accuracy on data that no stage has seen."""
+"""Questions to a calibrated robot: predictions, commands, and its accuracy on data that no stage has seen."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 
-from identification.error_model import ErrorModel, require_closed
+from identification.error_model import ErrorModel
 from identification.estimators import refit
 from identification.measurements import Measurements, check_readings, quaternions, read_table, to_measurements
-from pipeline.comparison import METHODS, RAW, measured_poses, raw, scores, shipped
-from pipeline.results import Comparison, Identified
+from learning.residual import Correction
+from pipeline.comparison import RAW, scores
+from pipeline.compensation import commands
+from pipeline.methods import METHODS, Method, ModelMethod, build, uncalibrated
+from pipeline.results import Comparison, Identified, Learned, MethodScore
 from pipeline.runner import Run
-from urdf.description import nearest, read_columns
+from urdf.description import RobotDescription, nearest, read_columns
 from urdf.errors import InputError
+from urdf.rigid_motion import Motion
+from urdf.workspace import AXES
 
 
-def _identified(session: Run) -> tuple[ErrorModel, Identified]:
-    model, identified = session.until("model", "identify")
+def _calibrated(session: Run) -> tuple[ErrorModel, Identified, Learned]:
+    """The error model, the identification and what was learned from all measured poses."""
+    model, identified, transferred = session.until("model", "identify", "transfer")
     description = session.robot.description
-    return ErrorModel.of(model.chain(), description.actuator, description.tolerance), identified
+    return ErrorModel.of(model.chain(), description.actuator, description.tolerance), identified, transferred.fits[0]
+
+
+def _method(methods: Mapping[str, Method], name: str) -> Method:
+    if name not in methods:
+        raise InputError(f"--method {name}: no such method; {nearest(name, METHODS)}")
+    return methods[name]
 
 
 def _read(session: Run, model: ErrorModel, file: Path, columns: Path | None, measured: bool) -> pd.DataFrame:
     """A table as the robot's measurements are read, or with a column map of its own."""
-    description = session.robot.description
+    description, chain = session.robot.description, model.chain
     settings = description.measure
     if columns is not None:
         settings = settings.model_copy(update={"columns": read_columns(columns)})
     elif not measured:
-        joints = {k: v for k, v in settings.columns.items() if k in description.actuated}
-        settings = settings.model_copy(update={"columns": joints})
-    chain = model.chain
+        settings = settings.of_columns(("pose", *chain.actuated_names))
     table = read_table(file, chain.actuated_names, settings, measured=measured)
     check_readings(table, chain, model.actuators, description.tolerance, file)
     return table
@@ -41,67 +53,125 @@ def _read(session: Run, model: ErrorModel, file: Path, columns: Path | None, mea
 def predicted_table(session: Run, file: Path, method: str) -> pd.DataFrame:
     """Poses (one row a row of `file`) as they would be measured: only what was measured can be predicted.
 
-    Sigmas are about (along) each axis, root mean square of the three, and hold for `geometric` alone.
+    Sigmas are those of the identified parameters, about (along) each axis, root mean square of the three; they hold
+    for `geometric` and `hybrid`, and do not count what geometry can't explain.
     """
-    model, identified = _identified(session)
-    methods = shipped(identified)
-    if method not in methods:
-        raise InputError(f"--method {method}: no such method; {nearest(method, METHODS)}")
+    model, identified, learned = _calibrated(session)
+    channels = identified.shipped.channels
+    chosen = _method(build(model, identified.fits()[0], learned, channels), method)
     table = _read(session, model, file, None, measured=False)
     readings = table[list(model.chain.actuated_names)].to_numpy(float)
-    at = Measurements(table["pose"].to_numpy(), readings)
-    p = methods[method]
-    robot = model.robot(p)
-    closure = require_closed(robot.close(readings), at)
-    pose = robot.measured(closure.pose)
-    columns: dict[str, np.ndarray] = {"pose": at.pose}
-    channels, r = identified.shipped.channels, pose.rotation
-    variance = np.full((len(at), 6), np.nan)
-    if method == "geometric":
-        jacobian = model.pose_jacobian(p, readings, closure.q)
+    numbers = table["pose"].to_numpy()
+    pose = chosen.predict(readings)
+    turned = moved = np.full(len(numbers), np.nan)
+    if isinstance(chosen, ModelMethod) and method != "nominal":
+        jacobian = model.pose_jacobian(identified.shipped.change, readings, chosen.close(readings).q)
         variance = np.einsum("nij,jk,nik->ni", jacobian, identified.shipped.covariance, jacobian)
-    turned = np.sqrt(variance[:, :3].mean(axis=1))
+        turned, moved = np.sqrt(variance[:, :3].mean(axis=1)), np.sqrt(variance[:, 3:].mean(axis=1))
+    columns: dict[str, np.ndarray] = {"pose": numbers}
+    r = pose.rotation
     if "orientation" in channels:
         columns |= dict(zip(("qx", "qy", "qz", "qw"), quaternions(r).T, strict=True)) | {"orientation_std": turned}
     if "position" in channels:
-        columns |= dict(zip("xyz", pose.translation.T, strict=True))
-        columns["position_std"] = np.sqrt(variance[:, 3:].mean(axis=1))
+        columns |= dict(zip("xyz", pose.translation.T, strict=True)) | {"position_std": moved}
     if "tilt" in channels:
         columns |= {"roll": np.arctan2(r[:, 2, 1], r[:, 2, 2]), "pitch": -np.arcsin(r[:, 2, 0]), "tilt_std": turned}
     if "yaw" in channels:
-        columns["yaw"] = np.arctan2(r[:, 1, 0], r[:, 0, 0])
-    found = pd.DataFrame(columns)
-    return found.dropna(axis="columns", how="all")
+        columns |= {"yaw": np.arctan2(r[:, 1, 0], r[:, 0, 0]), "yaw_std": turned}
+    return pd.DataFrame(columns).dropna(axis="columns", how="all")
+
+
+def compensated_table(session: Run, file: Path, method: str) -> pd.DataFrame:
+    """The actuators' readings that reach the poses of `file` (a measurement table without joints), one row a pose."""
+    model, identified, learned = _calibrated(session)
+    channels = identified.shipped.channels
+    chosen = _method(build(model, identified.fits()[0], learned, channels), method)
+    description = session.robot.description
+    settings = description.measure.model_copy(update={"columns": {}})
+    desired, numbers = _desired(read_table(file, (), settings), model, identified, description, file)
+    readings = commands(chosen, desired, model.chain, model.actuators.joints, description.workspace, numbers)
+    return pd.DataFrame({"pose": numbers, **dict(zip(model.chain.actuated_names, readings.T, strict=True))})
+
+
+def _desired(
+    table: pd.DataFrame, model: ErrorModel, identified: Identified, description: RobotDescription, file: Path
+) -> tuple[Motion, np.ndarray]:
+    """Desired poses; what the tool can do and the file does not say stays as at home."""
+    wanted = to_measurements(table, (), description.sensor)
+    axes = model.chain.tool_axes
+    if any(a < 3 for a in axes) and wanted.position is None:
+        raise InputError(f"{file}: the tool moves along {[AXES[a] for a in axes if a < 3]}: x, y, z are needed")
+    if any(a >= 3 for a in axes) and wanted.orientation is None and wanted.tilt is None:
+        raise InputError(f"{file}: the tool turns: qx, qy, qz, qw or roll, pitch (and yaw) are needed")
+    pose = wanted.as_poses()
+    robot = model.robot(identified.shipped.change)
+    home = robot.measured(model.chain.home_pose)
+    if wanted.orientation is None and wanted.yaw is None:
+        yaw = np.full(len(wanted), np.arctan2(home.rotation[1, 0], home.rotation[0, 0]))
+        pose = replace(wanted, yaw=yaw).as_poses()
+    if wanted.position is None:
+        pose = Motion(pose.rotation, np.broadcast_to(home.translation, pose.translation.shape))
+    return pose, wanted.pose
 
 
 def evaluated(session: Run, file: Path, columns: Path | None, *, register: bool, rehome: bool) -> Comparison:
     """The shipped methods against the measurement table `file`.
 
-    register: W is first refitted alone; rehome: the actuators' zeros are. Both use the table's own poses.
+    register: W is first refitted alone; rehome: the actuators' zeros are. Both are fitted on the table's own poses
+    through the model that a method rests on: nominal, identified, or identified with its correction.
     """
-    model, identified = _identified(session)
+    model, identified, learned = _calibrated(session)
     description = session.robot.description
     table = _read(session, model, file, columns, measured=True)
     measured = to_measurements(table, model.chain.actuated_names, description.sensor)
-    methods = {name: _moved(model, measured, p, register, rehome) for name, p in shipped(identified).items()}
-    actual = measured_poses(measured)
-    channels = measured.channels
+    fit, channels = identified.fits()[0], identified.shipped.channels
+    rows: dict[str, MethodScore] = {}
+    for names, p, correction in (
+        (("nominal", "network", "transfer"), fit.registered, None),
+        (("geometric", "transfer_identified"), fit.identified, None),
+        (("hybrid",), fit.identified, learned.correction),
+    ):
+        moved, shift = _moved(model, measured, p, correction, register, rehome)
+        own = build(model, replace(fit, registered=moved, identified=moved), learned, channels)
+        at = replace(measured, readings=measured.readings + shift)
+        found = scores({name: own[name] for name in names}, at, measured.as_poses(), measured.channels)
+        rows |= {row.name: row for row in found}
     return Comparison(
         robot=description.name,
         source=session.until("measure")[0].source,
         n_poses=identified.shipped.n_poses,
         n_scored=len(measured),
         scored_on=str(file),
-        channels=channels,
-        methods=scores(model, methods, measured, actual, channels),
+        channels=measured.channels,
+        methods=tuple(rows[name] for name in METHODS),
         held_out=(),
-        raw_nominal=scores(model, {RAW: raw(model)}, measured, actual, channels)[0],
+        raw_nominal=scores({RAW: uncalibrated(model)}, measured, measured.as_poses(), measured.channels)[0],
+        closed_loop=(),
+        closed_loop_on="",
     )
 
 
-def _moved(model: ErrorModel, measured: Measurements, p: np.ndarray, register: bool, rehome: bool) -> np.ndarray:
-    free = np.zeros(len(p), dtype=bool)
-    n = len(model.actuators.gain)
-    free[-12:-6] = register
-    free[-12 - 2 * n : -12 - n] = rehome
-    return refit(model, measured, p, free).p if free.any() else p
+def _moved(
+    model: ErrorModel,
+    measured: Measurements,
+    p: np.ndarray,
+    correction: Correction | None,
+    register: bool,
+    rehome: bool,
+) -> tuple[np.ndarray, np.ndarray]:
+    """p with W refitted, and by how much the readings (n_actuated,) must be shifted for what was learned before.
+
+    A new zero is a shift of the readings: networks and the correction know the readings of the old one.
+    """
+    n, free = len(model.actuators.gain), np.zeros(len(p), dtype=bool)
+    zeros = slice(len(p) - 12 - 2 * n, len(p) - 12 - n)
+    free[-12:-6], free[zeros] = register, rehome
+    if not free.any():
+        return p, np.zeros(n)
+    gain = model.robot(p).actuators.gain
+    if correction is not None:
+        measured = replace(measured, readings=measured.readings + correction(measured.readings) / gain)
+    found = refit(model, measured, p, free).p
+    moved = np.array(p)
+    moved[-12:] = found[-12:]
+    return moved, (found[zeros] - p[zeros]) / gain

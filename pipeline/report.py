@@ -13,14 +13,21 @@ from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
 
 from pipeline.fingerprint import ROOT
-from pipeline.results import Comparison, Identified, Measured, Model
+from pipeline.results import Comparison, Filtered, Identified, Model, Pretrained, Transferred
 from pipeline.tables import comparison_tables, parameter_table
 
 _STYLE: Any = {"svg.hashsalt": "kincal", "svg.fonttype": "none", "font.size": 9, "font.family": "sans-serif"}
 _BLUE, _RED, _GREY = "#1f5fa8", "#b3261e", "#767676"
 
 
-def page(model: Model, measured: Measured, identified: Identified, compared: Comparison) -> str:
+def page(
+    model: Model,
+    filtered: Filtered,
+    identified: Identified,
+    pretrained: Pretrained,
+    transferred: Transferred,
+    compared: Comparison,
+) -> str:
     """The whole report of one robot."""
     environment = Environment(
         loader=FileSystemLoader(ROOT / "pipeline" / "templates"), autoescape=True, undefined=StrictUndefined
@@ -33,7 +40,9 @@ def page(model: Model, measured: Measured, identified: Identified, compared: Com
         }
     return environment.get_template("report.html").render(
         model=model,
-        measured=measured,
+        filtered=filtered,
+        pretrained=pretrained,
+        learned=transferred.fits[0],
         shipped=identified.shipped,
         compared=compared,
         comparison=comparison_tables(compared.methods, compared.raw_nominal),

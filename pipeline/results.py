@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from identification.identification import Identification
+from learning.network import Network
+from learning.residual import Correction
 from urdf.description import Mechanism, VirtualErrors
 
 if TYPE_CHECKING:
@@ -75,11 +77,21 @@ class Truth:
 
 @dataclass(frozen=True)
 class Measured:
-    """The measurement table, and the truth behind it where the robot is virtual."""
+    """The measurement table, the raw streams beside it, and the truth behind both where the robot is virtual."""
 
     source: str  # "virtual", or the name of the file
     table: Frame
+    stream: Frame | None
     truth: Truth | None
+
+
+@dataclass(frozen=True)
+class Filtered:
+    """The measurement table, one row a pose, after the streams went through the filter."""
+
+    table: Frame
+    used: int  # samples of the streams; 0 where there were none
+    gated: int  # samples taken for outliers
 
 
 @dataclass(frozen=True)
@@ -100,6 +112,44 @@ class Identified:
     held_out: Fit
     folds: tuple[Fit, ...]  # of real data; a virtual robot is scored on fresh poses instead
 
+    def fits(self) -> tuple[Fit, ...]:
+        """All fits, the shipped one first: it has seen every pose."""
+        shipped = Fit(np.zeros(0, dtype=np.int64), self.registered, self.shipped.change)
+        return (shipped, self.held_out, *self.folds)
+
+
+@dataclass(frozen=True)
+class SourceTask:
+    """The poses that networks are pre-trained on."""
+
+    readings: np.ndarray  # (n, n_actuated)
+
+
+@dataclass(frozen=True)
+class Pretrained:
+    """Networks before they have seen a measured pose; one a fit."""
+
+    start: Network  # random
+    nominal: tuple[Network, ...]  # the source task by the nominal model
+    identified: tuple[Network, ...]  # by the identified one
+    curve: np.ndarray  # (iterations, 2) training and validation loss
+
+
+@dataclass(frozen=True)
+class Learned:
+    """What was learned from one fit's measured poses."""
+
+    network: Network  # from a random start: the paper's BP network
+    transfer: Network  # from the nominal model's prior: the paper's transfer network
+    transfer_identified: Network  # from the identified model's prior
+    correction: Correction  # of the actuators, through the identified model
+    curve: np.ndarray  # (iterations, 6) training, then validation losses of the three networks
+
+
+@dataclass(frozen=True)
+class Transferred:
+    fits: tuple[Learned, ...]  # in the order of Identified.fits
+
 
 @dataclass(frozen=True)
 class MethodScore:
@@ -111,6 +161,15 @@ class MethodScore:
     mean_mm: float | None
     max_mm: float | None
     sd_mm: float | None
+
+
+@dataclass(frozen=True)
+class Compensated:
+    """Desired poses, and where the commanded robot ends up: the true one if it is virtual, else as hybrid predicts."""
+
+    checked_on: str  # "virtual robot" or "hybrid"
+    n_poses: int
+    scores: tuple[MethodScore, ...]  # of reached against desired poses
 
 
 @dataclass(frozen=True)
@@ -126,6 +185,8 @@ class Comparison:
     methods: tuple[MethodScore, ...]
     held_out: tuple[MethodScore, ...]
     raw_nominal: MethodScore  # the nominal robot with W = T = 1
+    closed_loop: tuple[MethodScore, ...]  # after compensation: reached against desired poses
+    closed_loop_on: str
 
 
 @dataclass(frozen=True)

@@ -11,25 +11,34 @@ from typing import TYPE_CHECKING
 
 from pipeline.results import (
     Comparison,
+    Compensated,
+    Filtered,
     Fit,
     Html,
     Identified,
     Measured,
     Model,
     PosePlan,
+    Pretrained,
     Report,
+    SourceTask,
+    Transferred,
     Urdf,
 )
 from urdf.description import (
     Actuator,
     Evaluate,
+    Filter,
     Identify,
     Measure,
     Mechanism,
     Plan,
+    Pretrain,
+    Prior,
     Sensor,
     Split,
     Tolerance,
+    Transfer,
 )
 from urdf.errors import InputError
 
@@ -98,30 +107,48 @@ def measure(
     tolerance: Tolerance,
     seed: int,
 ) -> Measured:
-    """The measurement table: read from a file, or measured by a virtual robot on itself."""
+    """The measurement table and streams: read from files, or measured by a virtual robot on itself."""
     from identification.error_model import ErrorModel
+    from identification.inclinometer import read_stream
     from identification.measurements import check_readings, read_table, to_table
+    from pipeline.virtual_robot import VirtualRobot, default_channels, draw, stream_of
+    from pipeline.virtual_robot import measure as sense
 
     chain = model.chain()
     nominal = ErrorModel.of(chain, actuator, tolerance)
     if not measure.virtual:
         assert measure.table is not None
-        table = read_table(measure.table, chain.actuated_names, measure)
+        settings = measure if measure.streams is None else measure.of_columns(("pose", *chain.actuated_names))
+        table = read_table(measure.table, chain.actuated_names, settings, measured=measure.streams is None)
         check_readings(table, chain, nominal.actuators, tolerance, measure.table)
-        return Measured(measure.table.name, table, None)
-    from pipeline.virtual_robot import VirtualRobot, default_channels, draw
-    from pipeline.virtual_robot import measure as sense
-
+        stream = None if measure.streams is None else read_stream(measure.streams, measure)
+        return Measured((measure.streams or measure.table).name, table, stream, None)
     truth = draw(nominal, measure.errors, seed)
     readings = plan.table[list(chain.actuated_names)].to_numpy()
     pose = VirtualRobot.of(nominal, truth).pose(readings)
     channels = measure.channels or default_channels(chain.tool_axes)
-    return Measured("virtual", to_table(chain.actuated_names, readings, sense(pose, channels, sensor, seed)), truth)
+    streamed = tuple(c for c in channels if c in ("tilt", "yaw")) if measure.stream else ()
+    columns = sense(pose, tuple(c for c in channels if c not in streamed), sensor, seed)
+    stream = stream_of(pose, streamed, sensor, measure.stream, seed) if measure.stream and "tilt" in streamed else None
+    return Measured("virtual", to_table(chain.actuated_names, readings, columns), stream, truth)
+
+
+def filter(measured: Measured, filter: Filter, sensor: Sensor) -> Filtered:
+    """Raw streams -> one row a pose, by the extended Kalman filter; a table without streams goes through as it is."""
+    if measured.stream is None:
+        return Filtered(measured.table, 0, 0)
+    from identification.inclinometer import filter_stream
+
+    table = measured.table
+    rows = filter_stream(measured.stream, table["pose"].to_numpy(), sensor, filter, f"stream ({measured.source})")
+    used, gated = (int(rows[name].to_numpy().sum()) for name in ("used", "gated"))
+    return Filtered(table.merge(rows.drop(columns=["used", "gated"]), on="pose", validate="1:1"), used, gated)
 
 
 def identify(
     model: Model,
     measured: Measured,
+    filtered: Filtered,
     sensor: Sensor,
     tolerance: Tolerance,
     actuator: dict[str, Actuator],
@@ -139,21 +166,125 @@ def identify(
 
     chain = model.chain()
     errors = ErrorModel.of(chain, actuator, tolerance)
-    poses = to_measurements(measured.table, chain.actuated_names, sensor)
-    whole = estimate(errors, poses, identify.max_iterations)
+    poses = to_measurements(filtered.table, chain.actuated_names, sensor)
     parts = () if measured.truth is not None else folds(len(poses), split, seed)
+    test = held_out(len(poses), split, seed)
+    registered = register(errors, poses)
     return Identified(
-        shipped=summarise(errors, poses, whole),
-        registered=register(errors, poses).p,
-        held_out=_fit(errors, poses, held_out(len(poses), split, seed), identify),
-        folds=tuple(_fit(errors, poses, test, identify) for test in parts),
+        shipped=summarise(errors, poses, estimate(errors, poses, identify.max_iterations), registered),
+        registered=registered.p,
+        held_out=_fit(errors, poses, test, identify),
+        folds=tuple(_fit(errors, poses, part, identify) for part in parts),
+    )
+
+
+def prior(model: Model, prior: Prior, actuator: dict[str, Actuator], seed: int) -> SourceTask:
+    """The poses of the source task: a uniform grid up to three axes, as in the paper; else evenly spread ones."""
+    from identification.poses import planned
+    from urdf.actuators import Actuators
+    from urdf.description import Plan as PlanOf
+    from urdf.kinematics import inverse
+
+    chain = model.chain()
+    u = planned(model.mechanism.workspace, chain.tool_axes, PlanOf(poses=prior.poses), seed)
+    closure = inverse(chain, u).require(lambda row: f"prior: pose {row}")
+    return SourceTask(Actuators.nominal(chain, actuator).readings(closure.q[:, chain.actuated]))
+
+
+def pretrain(
+    model: Model,
+    task: SourceTask,
+    identified: Identified,
+    tolerance: Tolerance,
+    actuator: dict[str, Actuator],
+    pretrain: Pretrain,
+    seed: int,
+) -> Pretrained:
+    """Networks trained on the source task, by the nominal and by the identified model."""
+    from identification.error_model import ErrorModel
+    from pipeline.learn import pretrained
+
+    errors = ErrorModel.of(model.chain(), actuator, tolerance)
+    shipped = identified.shipped
+    return pretrained(errors, task.readings, identified.fits(), shipped.channels, shipped.n_poses, pretrain, seed)
+
+
+def transfer(
+    model: Model,
+    filtered: Filtered,
+    identified: Identified,
+    pretrained: Pretrained,
+    sensor: Sensor,
+    tolerance: Tolerance,
+    actuator: dict[str, Actuator],
+    split: Split,
+    transfer: Transfer,
+    seed: int,
+) -> Transferred:
+    """Networks fine-tuned on measured poses, and the correction of the actuators."""
+    from identification.error_model import ErrorModel
+    from identification.measurements import to_measurements
+    from pipeline.learn import learned
+
+    chain = model.chain()
+    errors = ErrorModel.of(chain, actuator, tolerance)
+    poses = to_measurements(filtered.table, chain.actuated_names, sensor)
+    starts = zip(identified.fits(), pretrained.nominal, pretrained.identified, strict=True)
+    return Transferred(
+        tuple(
+            learned(errors, poses, fit, (pretrained.start, nominal, built), transfer, split, seed)
+            for fit, nominal, built in starts
+        )
+    )
+
+
+def compensate(
+    model: Model,
+    measured: Measured,
+    identified: Identified,
+    transferred: Transferred,
+    tolerance: Tolerance,
+    actuator: dict[str, Actuator],
+    evaluate: Evaluate,
+    seed: int,
+) -> Compensated:
+    """The closed loop: commands for desired poses by each method, and where the robot then is."""
+    import numpy as np
+
+    from identification.error_model import ErrorModel
+    from pipeline.comparison import method_score
+    from pipeline.compensation import commands
+    from pipeline.methods import build
+    from pipeline.virtual_robot import VirtualRobot
+    from urdf.kinematics import pose_at
+
+    chain = model.chain()
+    errors = ErrorModel.of(chain, actuator, tolerance)
+    channels = identified.shipped.channels
+    methods = build(errors, identified.fits()[0], transferred.fits[0], channels)
+    workspace = model.mechanism.workspace
+    u = _inner(model, evaluate.fresh_poses, seed)
+    desired = errors.robot(identified.registered).measured(pose_at(chain, u))
+    robot = methods["hybrid"].predict if measured.truth is None else VirtualRobot.of(errors, measured.truth).pose
+    numbers = np.arange(len(u))
+    reached = {
+        name: robot(commands(method, desired, chain, errors.actuators.joints, workspace, numbers))
+        for name, method in methods.items()
+    }
+    return Compensated(
+        checked_on="hybrid" if measured.truth is None else "virtual robot",
+        n_poses=len(u),
+        scores=tuple(method_score(name, pose, desired, channels) for name, pose in reached.items()),
     )
 
 
 def evaluate(
     model: Model,
     measured: Measured,
+    filtered: Filtered,
     identified: Identified,
+    transferred: Transferred,
+    compensated: Compensated,
     sensor: Sensor,
     tolerance: Tolerance,
     actuator: dict[str, Actuator],
@@ -164,19 +295,24 @@ def evaluate(
     """The methods side by side, on poses that none of them has seen."""
     from identification.error_model import ErrorModel
     from identification.measurements import to_measurements
-    from pipeline.comparison import RAW, cross_validated, measured_poses, of_fit, raw, scores, shipped
+    from pipeline.comparison import RAW, cross_validated, scores
+    from pipeline.methods import build, uncalibrated
 
     chain = model.chain()
     errors = ErrorModel.of(chain, actuator, tolerance)
-    poses = to_measurements(measured.table, chain.actuated_names, sensor)
+    poses = to_measurements(filtered.table, chain.actuated_names, sensor)
     channels = poses.channels
-    test = poses[identified.held_out.test]
+    fits = [
+        (fit, build(errors, fit, own, channels)) for fit, own in zip(identified.fits(), transferred.fits, strict=True)
+    ]
+    held_out, by_held_out = fits[1]
+    test = poses[held_out.test]
     if measured.truth is None:
-        at, actual = poses, measured_poses(poses)
-        methods = cross_validated(errors, identified.folds, poses, channels)
+        at, actual = poses, poses.as_poses()
+        methods = cross_validated([(fit.test, by_fold) for fit, by_fold in fits[2:]], poses, channels)
     else:
         at, actual = _fresh(model, errors, measured.truth, evaluate.fresh_poses, seed)
-        methods = scores(errors, shipped(identified), at, actual, channels)
+        methods = scores(fits[0][1], at, actual, channels)
     return Comparison(
         robot=name,
         source=measured.source,
@@ -185,16 +321,25 @@ def evaluate(
         scored_on="held_out" if measured.truth is None else "fresh",
         channels=channels,
         methods=methods,
-        held_out=scores(errors, of_fit(identified.held_out), test, measured_poses(test), channels),
-        raw_nominal=scores(errors, {RAW: raw(errors)}, at, actual, channels)[0],
+        held_out=scores(by_held_out, test, test.as_poses(), channels),
+        raw_nominal=scores({RAW: uncalibrated(errors)}, at, actual, channels)[0],
+        closed_loop=compensated.scores,
+        closed_loop_on=compensated.checked_on,
     )
 
 
-def report(model: Model, measured: Measured, identified: Identified, compared: Comparison) -> Report:
-    """A page to sign: comparison, parameters, singular values, residuals."""
+def report(
+    model: Model,
+    filtered: Filtered,
+    identified: Identified,
+    pretrained: Pretrained,
+    transferred: Transferred,
+    compared: Comparison,
+) -> Report:
+    """A page to sign: comparison, parameters, singular values, residuals, training."""
     from pipeline.report import page
 
-    return Report(Html(page(model, measured, identified, compared)))
+    return Report(Html(page(model, filtered, identified, pretrained, transferred, compared)))
 
 
 def _fit(errors: ErrorModel, poses: Measurements, test: np.ndarray, settings: Identify) -> Fit:
@@ -223,6 +368,13 @@ def _fresh(model: Model, errors: ErrorModel, truth, n: int, seed: int):
     return Measurements(np.arange(n), readings), VirtualRobot.of(errors, truth).pose(readings)
 
 
+def _inner(model: Model, n: int, seed: int) -> np.ndarray:
+    """Tool coordinates of random desired poses, a little inside the workspace: commands differ from the nominal."""
+    from urdf.workspace import sample
+
+    return 0.98 * sample(model.mechanism.workspace, model.chain().tool_axes, n, [seed, 9])
+
+
 def _read(file: Path) -> str:
     try:
         return file.read_text(encoding="utf-8")
@@ -237,7 +389,12 @@ STAGES = {
     model: ("numpy", "scipy", "pin"),
     plan: ("numpy", "scipy", "pandas", "pyarrow"),
     measure: ("numpy", "scipy", "pandas", "pyarrow"),
+    filter: ("numpy", "filterpy", "pandas", "pyarrow"),
     identify: ("numpy", "scipy", "casadi"),
+    prior: ("numpy", "scipy"),
+    pretrain: ("numpy", "torch"),
+    transfer: ("numpy", "casadi", "torch"),
+    compensate: ("numpy",),
     evaluate: ("numpy", "scipy"),
     report: ("jinja2", "matplotlib"),
 }

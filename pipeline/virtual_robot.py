@@ -9,11 +9,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import pandas as pd
 
 from identification.error_model import BuiltRobot, ErrorModel
 from identification.measurements import quaternions
 from pipeline.results import Truth
-from urdf.description import Sensor, VirtualErrors
+from urdf.description import Sensor, Stream, VirtualErrors
 from urdf.kinematics import forward, passive_rates, tool_point_jacobian
 from urdf.rigid_motion import Motion, exp
 
@@ -87,6 +88,26 @@ class VirtualRobot:
 def default_channels(tool_axes: tuple[int, ...]) -> tuple[str, ...]:
     """All that can move: orientation where the robot turns its tool, position where it carries it."""
     return tuple(c for c, axes in (("orientation", (3, 4, 5)), ("position", (0, 1, 2))) if set(axes) & set(tool_axes))
+
+
+def stream_of(pose: Motion, channels: tuple[str, ...], sensor: Sensor, stream: Stream, seed: int) -> pd.DataFrame:
+    """Raw samples of an inclinometer (and a heading reference) on true poses (n): noise, outliers, dropouts."""
+    random = np.random.default_rng([seed, 10])
+    n, per_pose = len(pose.translation), max(1, round(stream.rate_hz * stream.seconds))
+    count = n * per_pose
+    r = np.repeat(pose.rotation, per_pose, axis=0)
+    true = {"roll": np.arctan2(r[:, 2, 1], r[:, 2, 2]), "pitch": -np.arcsin(r[:, 2, 0])}
+    if "yaw" in channels:
+        true["yaw"] = np.arctan2(r[:, 1, 0], r[:, 0, 0])
+    columns = {"t": np.arange(count) / stream.rate_hz, "pose": np.repeat(np.arange(n), per_pose)}
+    outlier = {"tilt": random.random(count) < stream.outliers, "yaw": random.random(count) < stream.outliers}
+    for name, values in true.items():
+        kind = "yaw" if name == "yaw" else "tilt"
+        noise = np.deg2rad(sensor.yaw_deg if kind == "yaw" else sensor.tilt_deg) * random.normal(size=count)
+        wrong = np.deg2rad(stream.outlier_deg) * random.choice([-1.0, 1.0], count)
+        columns[name] = values + noise + np.where(outlier[kind], wrong, 0.0)
+    came = random.random(count) >= stream.dropouts
+    return pd.DataFrame({name: values[came] for name, values in columns.items()})
 
 
 def measure(pose: Motion, channels: tuple[str, ...], sensor: Sensor, seed: int) -> dict[str, np.ndarray]:

@@ -2,6 +2,11 @@
 
 from __future__ import annotations
 
+import os
+
+os.environ.setdefault("OMP_NUM_THREADS", "1")  # small matrices: BLAS threads only wait for each other
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
@@ -48,7 +53,7 @@ class LoadedRobot:
         return self.model.actuators.readings(self.configurations(n, seed)[:, self.chain.actuated])
 
     def random_parameters(self, seed: int, tolerances: float = 1.0, instrument=None, target=None) -> np.ndarray:
-        """p of a robot at random within `tolerances` times its tolerance; W and T as given, else 1 degree and 10 mm off."""
+        """p of a robot drawn from `tolerances` times its tolerance; W and T as given, else 1 degree and 10 mm off."""
         random = np.random.default_rng([seed, 77])
         flat = self.model.parameters.flat
         p = tolerances * random.normal(size=len(flat)) * np.where(flat, 0.0, self.model.parameters.tolerance)
@@ -77,7 +82,7 @@ class LoadedRobot:
 
 
 def observe(pose: Motion, readings: np.ndarray, channels, std=None, noise=None) -> Measurements:
-    """Poses (n) as the instruments of `channels` see them; tilt and yaw as the issue of R = Rz(yaw) Ry(pitch) Rx(roll)."""
+    """Poses (n) as the instruments of `channels` see them; tilt and yaw are those of R = Rz(yaw) Ry(pitch) Rx(roll)."""
     n, r = len(readings), pose.rotation
     sigma = dict.fromkeys(channels, 1e-4) | (std or {})
     scale = {c: 0.0 if noise is None else sigma[c] for c in channels}

@@ -140,13 +140,25 @@ class VirtualErrors(_Table):
     frame_translation_mm: NotNegative = 10.0
 
 
+class Stream(_Table):
+    """How a virtual robot's inclinometer and heading reference stream at each pose."""
+
+    rate_hz: Positive = 50.0
+    seconds: Positive = 5.0
+    outliers: Annotated[float, Field(ge=0, lt=0.5)] = 0.01  # share of the samples
+    outlier_deg: NotNegative = 2.0
+    dropouts: Annotated[float, Field(ge=0, lt=1)] = 0.02  # share of the samples that never come
+
+
 class Measure(_Table):
     source: Literal["virtual", "files"] | None = None  # default: files where a table is named
-    table: File | None = None
+    table: File | None = None  # static poses; with `streams`, the joint values of each pose alone
+    streams: File | None = None  # raw sensor streams, for the filter
     columns: dict[str, Column] = {}
     separator: Annotated[str, Field(min_length=1, max_length=1)] = ","
     decimal: Literal[".", ","] = "."
     channels: tuple[Channel, ...] | None = Field(default=None, strict=False)  # virtual; default: all that can move
+    stream: Stream | None = None  # virtual: tilt and yaw come as streams; without it, as one reading a pose
     errors: VirtualErrors = VirtualErrors()
 
     @field_validator("columns", mode="before")
@@ -160,19 +172,53 @@ class Measure(_Table):
     def _consistent(self) -> Measure:
         if self.source == "files" and self.table is None:
             raise ValueError('source = "files" needs a table: set measure.table to a CSV or Parquet file')
+        if self.streams is not None and self.table is None:
+            raise ValueError("streams need a table with each pose's joint values: set measure.table")
         if self.channels is not None and not self.channels:
             raise ValueError("channels = []: allowed are one or more of orientation, position, tilt, yaw")
         if self.channels and "orientation" in self.channels and {"tilt", "yaw"} & set(self.channels):
             raise ValueError("channels: orientation holds tilt and yaw already; give either")
         return self
 
+    def of_columns(self, names: Iterable[str]) -> Measure:
+        """These settings with the column map of `names` alone."""
+        return self.model_copy(update={"columns": {k: v for k, v in self.columns.items() if k in set(names)}})
+
     @property
     def virtual(self) -> bool:
         return self.source == "virtual" or (self.source is None and self.table is None)
 
 
+class Filter(_Table):
+    """The extended Kalman filter over one pose's stretch of a stream."""
+
+    gate_probability: Annotated[float, Field(gt=0, lt=0.1)] = 1e-4  # of a good sample to be taken for an outlier
+    window: Annotated[int, Field(ge=3)] = 25  # samples whose median says what an outlier is at the start
+    drift_deg_per_sqrt_s: NotNegative = 1e-5
+    min_samples: Annotated[int, Field(ge=3)] = 5  # good ones a pose
+
+
 class Identify(_Table):
-    max_iterations: Annotated[int, Field(ge=1, le=1000)] = 50
+    max_iterations: Annotated[int, Field(ge=1, le=10_000)] = 300
+
+
+class Prior(_Table):
+    poses: Annotated[int, Field(ge=8, le=100_000)] = 1331  # of the source task: the paper's 11 x 11 x 11
+
+
+class Pretrain(_Table):
+    hidden: Annotated[int, Field(ge=1, le=64)] = 16  # units in each of the two hidden layers
+    iterations: Annotated[int, Field(ge=1, le=5000)] = 150  # of Levenberg-Marquardt
+    continued: Annotated[int, Field(ge=1, le=5000)] = 20  # more of them on the identified model's poses
+    validation: Annotated[float, Field(ge=0, lt=0.5)] = 0.1
+
+
+class Transfer(_Table):
+    iterations: Annotated[int, Field(ge=1, le=5000)] = 200
+    validation: Annotated[float, Field(ge=0, lt=0.5)] = 0.15
+    own_hidden: Annotated[int, Field(ge=1, le=32)] = 6  # of the actuators' correction: units that see one joint
+    shared_hidden: Annotated[int, Field(ge=1, le=32)] = 6  # and units that see all
+    correction_iterations: Annotated[int, Field(ge=1, le=1000)] = 20
 
 
 class Evaluate(_Table):
@@ -207,7 +253,11 @@ class RobotDescription(Mechanism):
     split: Split = Split()
     actuator: dict[str, Actuator] = {}
     plan: Plan = Plan()
+    filter: Filter = Filter()
     identify: Identify = Identify()
+    prior: Prior = Prior()
+    pretrain: Pretrain = Pretrain()
+    transfer: Transfer = Transfer()
     evaluate: Evaluate = Evaluate()
 
     @model_validator(mode="after")
@@ -231,7 +281,7 @@ class Robot:
 
 
 # Fields that hold a path: relative to robot.toml there, to the current folder in --set.
-PATHS = (("urdf",), ("measure", "table"))
+PATHS = (("urdf",), ("measure", "table"), ("measure", "streams"))
 
 
 def load_robot(robot: str, overrides: Sequence[str] = ()) -> Robot:
@@ -270,7 +320,8 @@ def validate(
         first = min(error.errors(), key=lambda e: e["type"] != "extra_forbidden")
         loc = tuple(str(part) for part in first["loc"])
         for keys, text in (origin or {}).items():
-            if loc[: len(keys)] == keys:
+            shared = min(len(loc), len(keys)) if first["type"] == "extra_forbidden" else len(keys)
+            if shared and loc[:shared] == keys[:shared]:
                 where = text
         field = ".".join(loc)
         raise InputError(f"{where}: {field + ': ' if field else ''}{_explain(first, model)}") from None

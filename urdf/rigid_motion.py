@@ -117,6 +117,12 @@ def from_xyz_angles(angles: Array) -> Array:
     return Rotation.from_euler("XYZ", angles.reshape(-1, 3)).as_matrix().reshape(*angles.shape[:-1], 3, 3)
 
 
+def from_zyx_angles(angles: Array) -> Array:
+    """Rotation matrices (..., 3, 3) of yaw, pitch, roll (..., 3) [rad], R = Rz(yaw) Ry(pitch) Rx(roll)."""
+    angles = np.asarray(angles, dtype=float)
+    return Rotation.from_euler("ZYX", angles.reshape(-1, 3)).as_matrix().reshape(*angles.shape[:-1], 3, 3)
+
+
 def xyz_rates(angles: Array) -> Array:
     """(..., 3, 3): B with d(angles) = B omega, omega the angular velocity in the frame before the three rotations."""
     a, b = angles[..., 0], angles[..., 1]

@@ -21,7 +21,7 @@ def measured(robot, shared_data):
 def test_identified_robot_fits_the_recording(robot, measured):
     """README: 48 parameters by least squares leave 0.95 mm and 0.165 degrees in pose, 0.41 mm in leg length."""
     loaded = robot("jugglebot")
-    found = summarise(loaded.model, measured, identify(loaded.model, measured))
+    found = summarise(loaded.model, measured, identify(loaded.model, measured), register(loaded.model, measured))
     assert found.n_poses == 108
     assert found.channels == ("orientation", "position")
     assert found.residual_size.position_mm <= 1.0
@@ -36,6 +36,6 @@ def test_identified_robot_fits_the_recording(robot, measured):
 def test_frames_alone_leave_what_the_drawing_lacks(robot, measured):
     """README: frames and leg zeros leave 1.3-1.6 mm in leg length; frames alone can't leave less."""
     loaded = robot("jugglebot")
-    found = summarise(loaded.model, measured, register(loaded.model, measured))
+    found = summarise(loaded.model, measured, register(loaded.model, measured), register(loaded.model, measured))
     assert found.residual_size.prismatic_mm > 1.3
     assert found.residual_size.position_mm > 1.0

@@ -160,11 +160,9 @@ def test_table_is_refused(content, named, read):
 
 def test_a_column_twice_is_refused(read):
     """Which of the two is meant can't be known."""
+    tails = (",leg1_slide", ",1", ",1", ",1")
     with pytest.raises(InputError, match="leg1_slide"):
-        read(GOOD.replace("leg2_slide", "leg1_slide"))
-    doubled = "\n".join(line + tail for line, tail in zip(GOOD.splitlines(), (",leg1_slide", ",1", ",1", ",1"), strict=True))
-    with pytest.raises(InputError, match="leg1_slide"):
-        read(doubled)
+        read("\n".join(line + tail for line, tail in zip(GOOD.splitlines(), tails, strict=True)) + "\n")
 
 
 def test_a_missing_file_and_one_that_is_no_parquet(tmp_path):
@@ -194,7 +192,9 @@ def test_joint_values_in_millimetres_are_refused_with_a_hint(robot, tmp_path):
         table = to_table(JOINTS, factor * readings, {})
         arguments = (table, loaded.chain, loaded.model.actuators, loaded.description.tolerance, file)
         if refused:
-            with pytest.raises(InputError, match=r"poses\.csv: pose 0: joint 'leg1_slide' .*\[0\.35, 0\.65\]; is it in mm"):
+            with pytest.raises(
+                InputError, match=r"poses\.csv: pose 0: joint 'leg1_slide' .*\[0\.35, 0\.65\]; is it in mm"
+            ):
                 check_readings(*arguments)
         else:
             check_readings(*arguments)
@@ -205,7 +205,9 @@ def test_joint_values_beyond_the_limits_name_pose_and_joint(robot, tmp_path):
     readings = loaded.readings(4, 0)
     readings[2, 1] = 0.7
     table = to_table(JOINTS, readings, {})
-    with pytest.raises(InputError, match=r"pose 2: joint 'leg2_slide' would be at 0\.7 m; its limits are \[0\.35, 0\.65\]$"):
+    with pytest.raises(
+        InputError, match=r"pose 2: joint 'leg2_slide' would be at 0\.7 m; its limits are \[0\.35, 0\.65\]$"
+    ):
         check_readings(table, loaded.chain, loaded.model.actuators, loaded.description.tolerance, tmp_path / "t.csv")
 
 
@@ -225,7 +227,9 @@ def test_joint_values_alone_are_a_table_where_nothing_need_be_measured(tmp_path)
 def test_written_and_read_again_a_table_is_the_same(readings, vectors, position):
     """Table -> CSV text -> table, bit for bit, as floats are printed in full."""
     quaternion = quaternions(Rotation.from_rotvec(vectors).as_matrix())
-    measured = dict(zip(("qx", "qy", "qz", "qw"), quaternion.T, strict=True)) | dict(zip("xyz", position.T, strict=True))
+    measured = dict(zip(("qx", "qy", "qz", "qw"), quaternion.T, strict=True)) | dict(
+        zip("xyz", position.T, strict=True)
+    )
     table = to_table(JOINTS, readings, measured)
     text = io.StringIO()
     table.to_csv(text, index=False)

@@ -79,12 +79,11 @@ def test_adding_poses_does_not_change_the_rank(name, channels, robot):
     assert len(ranks) == 1
 
 
-@pytest.mark.parametrize("seed", range(3))
-@pytest.mark.parametrize("name, channels", [("ups3_s", ("orientation",)), ("ups3_s", ("tilt",))])
-def test_a_parameter_that_moves_nothing_is_never_identifiable(name, channels, seed, robot):
+@pytest.mark.parametrize("channels", [("orientation",), ("tilt",)], ids="+".join)
+def test_a_parameter_that_moves_nothing_is_never_identifiable(channels, robot):
     """A robot that is off in every parameter: columns of zeros (translations of W and T) stay outside the rank."""
-    loaded = robot(name)
-    jacobian = linearised(loaded, channels, 150, seed, loaded.random_parameters(seed))
+    loaded = robot("ups3_s")
+    jacobian = linearised(loaded, channels, 150, 1, loaded.random_parameters(1))
     still = ~jacobian.any(axis=0)
     assert still.sum() >= 6
     found = identifiability(jacobian, loaded.model.parameters)
@@ -93,7 +92,7 @@ def test_a_parameter_that_moves_nothing_is_never_identifiable(name, channels, se
 
 
 def test_ur10_has_the_textbooks_rank(robot):
-    """Everett, Driels, Mooring 1987: 4 a revolute joint and 6 for the frames; here 6 gains more (zeros are among the 4)."""
+    """Everett, Driels, Mooring 1987: 4 a revolute joint (its zero among them), 6 for the frames; here 6 gains more."""
     loaded = robot("ur10")
     jacobian = linearised(loaded, ("orientation", "position"), 60, 4)
     assert identifiability(jacobian, loaded.model.parameters).rank == 4 * 6 + 6 + 6

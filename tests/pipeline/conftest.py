@@ -15,9 +15,23 @@ from pipeline.cli import main
 from pipeline.fingerprint import ROOT
 from pipeline.results import Comparison
 from pipeline.runner import Run, all_stages
-from urdf.description import ROBOTS, load_robot
+from urdf.description import ROBOTS, RobotDescription, load_robot
 
-QUICK = ("plan.poses=12",)
+# Networks of a few steps on a few poses, in all tests here: what they learn is not looked at.
+SMALL = tuple(
+    setting
+    for setting in ("prior.poses=27", "pretrain.iterations=2", "pretrain.continued=1", "transfer.iterations=2")
+    if setting.partition(".")[0] in RobotDescription.model_fields
+)
+QUICK = ("plan.poses=12", *SMALL)
+ROBOT_COMMANDS = ("run", "inspect", "compare", "status", "predict", "evaluate", "compensate")
+
+
+def _complete(arguments) -> list[str]:
+    """The command line, with small networks."""
+    given = [str(a) for a in arguments]
+    small = [part for setting in SMALL for part in ("--set", setting)]
+    return given + small if given[0] in ROBOT_COMMANDS and "--help" not in given else given
 
 
 @dataclass(frozen=True)
@@ -49,7 +63,7 @@ def start():
 
     def start(store: Path, *overrides: str, robot: str | Path = "ups3_s", force_from: str | None = None):
         events = []
-        return Run(load_robot(str(robot), overrides), Store(store), force_from, events.append), events
+        return Run(load_robot(str(robot), (*SMALL, *overrides)), Store(store), force_from, events.append), events
 
     return start
 
@@ -94,7 +108,7 @@ def cli(capfd, tmp_path, monkeypatch):
         monkeypatch.chdir(tmp_path)
         capfd.readouterr()
         with pytest.raises(SystemExit) as left:
-            main([str(a) for a in arguments])
+            main(_complete(arguments))
         said = capfd.readouterr()
         return Answer(int(left.value.code or 0), said.out, said.err)
 
@@ -117,7 +131,7 @@ def kincal(tmp_path, environment):
     """kincal(*arguments) -> Answer: the real command in a process of its own, in tmp_path."""
 
     def call(*arguments: str | Path, root: Path = ROOT, **options) -> Answer:
-        command = [sys.executable, "-m", "pipeline.cli", *map(str, arguments)]
+        command = [sys.executable, "-m", "pipeline.cli", *_complete(arguments)]
         done = subprocess.run(
             command, cwd=tmp_path, env=environment(root), capture_output=True, text=True, timeout=120, **options
         )

@@ -77,8 +77,10 @@ sys.exit(code)
 
 
 @pytest.mark.parametrize("command", [*COMMANDS, "--help", "--version", "compare --help"])
-def test_what_is_not_needed_is_not_imported(store, tmp_path, environment, command):
-    arguments = [command, "ups3_s", *SET, "--store", store] if command in COMMANDS else command.split()
+def test_what_is_not_needed_is_not_imported(finished, store, tmp_path, environment, command):
+    arguments = (
+        [command, "ups3_s", *flags(finished.settings), "--store", store] if command in COMMANDS else command.split()
+    )
     done = subprocess.run(
         [sys.executable, "-c", LOOK.format(heavy=HEAVY), *map(str, arguments)],
         cwd=tmp_path,
@@ -90,9 +92,9 @@ def test_what_is_not_needed_is_not_imported(store, tmp_path, environment, comman
     assert done.stderr.splitlines()[-1] == "[]"
 
 
-def test_a_first_run_does_not_import_torch(tmp_path, environment):
+def test_identification_does_not_import_torch(tmp_path, environment):
     done = subprocess.run(
-        [sys.executable, "-c", LOOK.format(heavy=("torch",)), "run", "ups3_s", *SET],
+        [sys.executable, "-c", LOOK.format(heavy=("torch",)), "run", "ups3_s", *SET, "--until", "identify"],
         cwd=tmp_path,
         env=environment(),
         capture_output=True,
@@ -101,8 +103,9 @@ def test_a_first_run_does_not_import_torch(tmp_path, environment):
     assert (done.returncode, done.stderr.splitlines()[-1]) == (0, "[]")
 
 
-def test_a_pipe_that_closes_early(store, tmp_path, environment):
-    command = [sys.executable, "-m", "pipeline.cli", "inspect", "ups3_s", *SET, "--store", str(store)]
+def test_a_pipe_that_closes_early(finished, store, tmp_path, environment):
+    arguments = ["inspect", "ups3_s", *flags(finished.settings), "--store", str(store)]
+    command = [sys.executable, "-m", "pipeline.cli", *arguments]
     pipe = subprocess.PIPE
     with subprocess.Popen(command, cwd=tmp_path, env=environment(), stdout=pipe, stderr=pipe, text=True) as process:
         process.stdout.close()
@@ -201,7 +204,7 @@ def error_model(run, model) -> ErrorModel:
     return ErrorModel.of(model.chain(), description.actuator, description.tolerance)
 
 
-@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("method", ["nominal", "geometric"])
 def test_predict_is_the_error_model(cli, linear, tmp_path, method):
     store, run, (model, plan, _, identified) = linear
     plan.table.to_csv(tmp_path / "joints.csv", index=False)

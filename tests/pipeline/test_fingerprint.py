@@ -75,7 +75,6 @@ KINEMATIC = {"model", "plan", "measure", "identify", "evaluate"}
         ("pipeline/report.py", {"report"}, KINEMATIC),
         ("pipeline/cli.py", set(), set(NAMES)),
         ("pipeline/artifacts.py", set(), set(NAMES)),
-        ("learning/__init__.py", set(), KINEMATIC),
     ],
 )
 def test_a_helper_counts_for_the_stages_that_import_it(project, file, must, must_not):
@@ -128,7 +127,7 @@ def test_the_project_has_no_import_that_a_syntax_tree_hides():
                 assert not (isinstance(node, ast.Attribute) and node.attr == "import_module"), file
 
 
-def test_what_a_stage_really_imports_is_in_its_closure(tmp_path, environment):
+def test_what_a_stage_really_imports_is_in_its_closure(finished, tmp_path, environment):
     """Too little never: every project module that a running stage loads is among its units of code."""
     script = f"""
 import json, sys
@@ -138,7 +137,7 @@ from pipeline.fingerprint import PACKAGES
 from pipeline.runner import Run
 from urdf.description import load_robot
 ours = lambda: {{m for m in sys.modules if m.partition(".")[0] in PACKAGES}}
-run, found = Run(load_robot("ups3_s", ["plan.poses=6"]), Store(Path("store"))), {{}}
+run, found = Run(load_robot("ups3_s", {finished.settings}), Store(Path("store"))), {{}}
 for stage in {NAMES}:
     before = ours()
     run.until(stage)

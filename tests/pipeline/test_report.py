@@ -62,7 +62,7 @@ def page(html) -> Page:
 def test_it_is_well_formed(html, page):
     assert html.startswith("<!doctype html>")
     assert page.open == []
-    assert len(re.findall(r"<svg\b", html)) == 3
+    assert len(re.findall(r"<svg\b", html)) >= 3
 
 
 def test_it_needs_nothing_else(html, page):
@@ -100,7 +100,7 @@ def test_the_same_run_gives_the_same_bytes(html, start, finished, tmp_path):
 def test_a_hostile_file_name_is_escaped(start, finished, tmp_path):
     table = tmp_path / f"{HOSTILE}.csv"
     finished.table.to_csv(table, index=False)
-    run, _ = start(tmp_path / "store", "measure.source=files", f"measure.table='''{table}'''")
+    run, _ = start(tmp_path / "store", "split.test=0.5", "measure.source=files", f"measure.table='''{table}'''")
     page = Page(str(run.until("report")[0].html))
     assert HOSTILE in page.text
     assert "img" not in page.tags

@@ -235,7 +235,9 @@ def test_early_cut_off(finished, start, store):
 def test_a_setting_of_one_stage_reruns_that_one_and_what_it_changes(finished, start, store):
     run, events = start(store, *finished.settings, "evaluate.fresh_poses=501")
     run.until("report")
-    assert [e.stage for e in events if e.state == "ran"] == ["evaluate", "report"]
+    ran = {e.stage for e in events if e.state == "ran"}
+    assert ran >= {"evaluate", "report"}
+    assert not ran & {"model", "plan", "measure", "identify"}
     assert next(e.why for e in events if e.state == "ran") == "setting evaluate.fresh_poses 500 -> 501"
 
 
@@ -262,7 +264,7 @@ def test_robots_of_one_name_do_not_mix(finished, start, store, robot_folder):
     assert other != finished.comparison
     for robot, expected in (("ups3_s", finished.comparison), (robot_folder, other)):
         run, _ = start(store, *finished.settings, robot=robot)
-        assert {state for _, state, _ in list(run.status())[:5]} == {"fresh"}
+        assert {state for stage, state, _ in run.status() if stage != "report"} == {"fresh"}
         assert run.until("evaluate")[0] == expected
 
 
@@ -270,7 +272,8 @@ def test_robots_of_one_name_do_not_mix(finished, start, store, robot_folder):
 
 
 def test_two_runs_at_once(finished, tmp_path, environment):
-    command = [sys.executable, "-m", "pipeline.cli", "run", "ups3_s", "--set", "plan.poses=12", "--json"]
+    sets = [part for setting in finished.settings for part in ("--set", setting)]
+    command = [sys.executable, "-m", "pipeline.cli", "run", "ups3_s", *sets, "--json"]
     started = [
         subprocess.Popen(command, cwd=tmp_path, env=environment(), stdout=subprocess.PIPE, stderr=subprocess.PIPE)
         for _ in range(2)

@@ -145,13 +145,19 @@ def test_defaults_are_those_of_the_design(tmp_path):
     )
     found = load_robot(str(file)).description
     assert (found.seed, found.split.test, found.workspace.max_condition) == (0, 0.2, 100)
-    assert (found.tolerance.position_mm, found.tolerance.rotation_deg, found.tolerance.actuator_gain) == (0.3, 0.03, 1e-3)
+    assert (found.tolerance.position_mm, found.tolerance.rotation_deg, found.tolerance.actuator_gain) == (
+        0.3,
+        0.03,
+        1e-3,
+    )
     assert found.measure.virtual
     assert found.urdf == tmp_path / "r.urdf"
 
 
 def test_overrides_replace_one_value():
-    found = load_robot("ups3_s", ["plan.poses=10", "measure.errors.elastic=false", "seed = 7", "name=other"]).description
+    found = load_robot(
+        "ups3_s", ["plan.poses=10", "measure.errors.elastic=false", "seed = 7", "name=other"]
+    ).description
     assert found.plan.poses == 10
     assert found.measure.errors.elastic is False
     assert found.seed == 7
@@ -160,7 +166,9 @@ def test_overrides_replace_one_value():
 
 
 def test_overrides_take_tables_and_lists():
-    found = load_robot("ups3_s", ['measure.channels=["tilt", "yaw"]', "workspace.rotation_deg={x=[-1,1],y=[-2,2],z=[-3,3]}"])
+    found = load_robot(
+        "ups3_s", ['measure.channels=["tilt", "yaw"]', "workspace.rotation_deg={x=[-1,1],y=[-2,2],z=[-3,3]}"]
+    )
     assert found.description.measure.channels == ("tilt", "yaw")
     assert found.description.workspace.rotation_deg["z"] == (-3, 3)
 

@@ -39,7 +39,10 @@ URDF_REFUSALS = {
         [(LAST, '<link name="centre_z"/>' + joint("m", "platform", "centre_z") + LAST)],
         ["link and a joint", "'centre_z'"],
     ),
-    "an unknown joint type": ([(CENTRE_Z, CENTRE_Z.replace("revolute", "spherical"))], ["centre_z", "spherical", "prismatic"]),
+    "an unknown joint type": (
+        [(CENTRE_Z, CENTRE_Z.replace("revolute", "spherical"))],
+        ["centre_z", "spherical", "prismatic"],
+    ),
     "a floating joint": ([(CENTRE_Z, CENTRE_Z.replace("revolute", "floating"))], ["centre_z", "floating"]),
     "a joint without type": ([(CENTRE_Z, '<joint name="centre_z">')], ["centre_z", "type", "revolute"]),
     "a joint without name": ([(CENTRE_Z, '<joint type="revolute">')], ["joint", "name"]),
@@ -176,12 +179,16 @@ def test_joint_limits_exceeded_within_the_workspace_name_joint_and_pose(edited, 
     """Leg 1's second universal angle is -0.324 rad at home: allowed there, not everywhere."""
     end = 'effort="10000" velocity="10"/>\n  </joint>\n  <link name="leg1_rod"/>'
     robot = edited(urdf=[(f'<limit lower="-1.4" upper="1.4" {end}', f'<limit lower="-0.35" upper="0.35" {end}')])
-    with pytest.raises(InputError, match=r"workspace: pose \(rx = .* deg.*\): joint 'leg1_u2' would be at .*\[-0\.35, 0\.35\]"):
+    with pytest.raises(
+        InputError, match=r"workspace: pose \(rx = .* deg.*\): joint 'leg1_u2' would be at .*\[-0\.35, 0\.35\]"
+    ):
         checked(robot)
 
 
 def test_deeply_nested_and_huge_urdfs_are_refused(edited, checked):
-    chain = "".join(f'<link name="c{i}"/>' + joint(f"f{i}", "base" if i == 0 else f"c{i - 1}", f"c{i}") for i in range(600))
+    chain = "".join(
+        f'<link name="c{i}"/>' + joint(f"f{i}", "base" if i == 0 else f"c{i - 1}", f"c{i}") for i in range(600)
+    )
     with pytest.raises(InputError, match=r"joints; allowed are 500"):
         checked(edited(urdf=[(LAST, chain + LAST)]))
 
