@@ -343,6 +343,20 @@ def _rotation_vector(rotation: ca.SX) -> ca.SX:
     return sine * ca.if_else(small, 1 + square / 6, angle / length)
 
 
+@lru_cache
+def _pose_residual(channels: tuple[str, ...]) -> ca.Function:
+    rotation, translation = ca.SX.sym("rotation", 3, 3), ca.SX.sym("translation", 3)
+    residual, observed = _residual(channels, rotation, translation)
+    return ca.Function("pose_residual", [ca.vec(rotation), translation, observed], [residual])
+
+
+def pose_residual(predicted: Motion, measured: Measurements) -> np.ndarray:
+    """Whitened residuals (n, rows a pose) of predicted poses (n) in the measurement frame, whoever predicted them."""
+    rotation = predicted.rotation.swapaxes(1, 2).reshape(-1, 9)
+    function = _pose_residual(measured.channels)
+    return np.array(function(rotation.T, predicted.translation.T, _observations(measured).T)).T
+
+
 def require_closed(closure: Closure, measured: Measurements) -> Closure:
     """InputError that names the pose whose loops can't be closed at its joint values."""
     try:

@@ -14,7 +14,7 @@ import numpy as np
 from identification import registration
 from identification.error_model import ErrorModel, Linearisation, require_closed
 from identification.measurements import Measurements
-from urdf.errors import CalibrationError, InputError
+from urdf.errors import CalibrationError
 
 _FLAT_SCALE = 1e-2  # a natural size for W and T in the scaled Jacobian [m, rad]; decides nothing but rounding
 _NULL = 1e-11  # relative to the largest singular value: below, neither data nor prior see the direction
@@ -53,25 +53,6 @@ def register(model: ErrorModel, measured: Measurements, max_iterations: int = 30
         for w, t in registration.starts(closure.pose, measured)
     ]
     return _best(found, "registration of W and T")
-
-
-def refit(
-    model: ErrorModel, measured: Measurements, p: np.ndarray, free: np.ndarray, max_iterations: int = 300
-) -> Estimate:
-    """Fit the parameters `free` (bool) anew from p, the others held; W from a closed-form start where it is free.
-
-    For an instrument that was set up anew, or a robot that was homed anew. Free parameters have no prior here.
-    Raises as `register`.
-    """
-    robot = model.robot(p)
-    closure = require_closed(robot.close(measured.readings), measured)
-    starts = [p]
-    if free[-12:-6].any():
-        if len(measured) < registration.MIN_POSES:
-            raise InputError(f"{len(measured)} poses can't register W; at least {registration.MIN_POSES} are needed")
-        found = registration.instrument_starts(closure.pose @ robot.target, measured)
-        starts = [model.with_frames(p, w, robot.target) for w in found]
-    return _best([_minimise(model, measured, s, closure.q, free, max_iterations) for s in starts], "registration")
 
 
 def _best(found: list[Estimate], what: str) -> Estimate:

@@ -274,7 +274,7 @@ def _show_comparison(compared) -> None:
     for table in comparison_tables(compared.methods, compared.raw_nominal):
         _show_table(table)
     if compared.closed_loop:
-        out.print(Text(f"after compensation, reached against desired ({compared.closed_loop_on})", style="bold"))
+        out.print(Text("after compensation, where the virtual robot is against where it should be", style="bold"))
         for table in comparison_tables(compared.closed_loop):
             _show_table(table)
 

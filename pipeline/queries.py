@@ -10,13 +10,12 @@ import numpy as np
 import pandas as pd
 
 from identification.error_model import ErrorModel
-from identification.estimators import refit
-from identification.measurements import Measurements, check_readings, quaternions, read_table, to_measurements
-from learning.residual import Correction
+from identification.measurements import check_readings, quaternions, read_table, to_measurements
 from pipeline.comparison import RAW, scores
 from pipeline.compensation import commands
 from pipeline.methods import METHODS, Method, ModelMethod, build, uncalibrated
-from pipeline.results import Comparison, Identified, Learned, MethodScore
+from pipeline.refit import refitted
+from pipeline.results import Comparison, Identified, Learned
 from pipeline.runner import Run
 from urdf.description import RobotDescription, nearest, read_columns
 from urdf.errors import InputError
@@ -117,61 +116,25 @@ def _desired(
 def evaluated(session: Run, file: Path, columns: Path | None, *, register: bool, rehome: bool) -> Comparison:
     """The shipped methods against the measurement table `file`.
 
-    register: W is first refitted alone; rehome: the actuators' zeros are. Both are fitted on the table's own poses
-    through the model that a method rests on: nominal, identified, or identified with its correction.
+    register: W is first refitted alone; rehome: the actuators' zeros are. Each method is refitted by its own
+    predictions of the table's own poses.
     """
     model, identified, learned = _calibrated(session)
-    description = session.robot.description
     table = _read(session, model, file, columns, measured=True)
-    measured = to_measurements(table, model.chain.actuated_names, description.sensor)
-    fit, channels = identified.fits()[0], identified.shipped.channels
-    rows: dict[str, MethodScore] = {}
-    for names, p, correction in (
-        (("nominal", "network", "transfer"), fit.registered, None),
-        (("geometric", "transfer_identified"), fit.identified, None),
-        (("hybrid",), fit.identified, learned.correction),
-    ):
-        moved, shift = _moved(model, measured, p, correction, register, rehome)
-        own = build(model, replace(fit, registered=moved, identified=moved), learned, channels)
-        at = replace(measured, readings=measured.readings + shift)
-        found = scores({name: own[name] for name in names}, at, measured.as_poses(), measured.channels)
-        rows |= {row.name: row for row in found}
+    measured = to_measurements(table, model.chain.actuated_names, session.robot.description.sensor)
+    methods = dict(build(model, identified.fits()[0], learned, identified.shipped.channels))
+    if register or rehome:
+        methods = {name: refitted(method, measured, register, rehome) for name, method in methods.items()}
+    actual, channels = measured.as_poses(), measured.channels
     return Comparison(
-        robot=description.name,
+        robot=session.robot.description.name,
         source=session.until("measure")[0].source,
         n_poses=identified.shipped.n_poses,
         n_scored=len(measured),
         scored_on=str(file),
-        channels=measured.channels,
-        methods=tuple(rows[name] for name in METHODS),
+        channels=channels,
+        methods=scores(methods, measured, actual, channels),
         held_out=(),
-        raw_nominal=scores({RAW: uncalibrated(model)}, measured, measured.as_poses(), measured.channels)[0],
+        raw_nominal=scores({RAW: uncalibrated(model)}, measured, actual, channels)[0],
         closed_loop=(),
-        closed_loop_on="",
     )
-
-
-def _moved(
-    model: ErrorModel,
-    measured: Measurements,
-    p: np.ndarray,
-    correction: Correction | None,
-    register: bool,
-    rehome: bool,
-) -> tuple[np.ndarray, np.ndarray]:
-    """p with W refitted, and by how much the readings (n_actuated,) must be shifted for what was learned before.
-
-    A new zero is a shift of the readings: networks and the correction know the readings of the old one.
-    """
-    n, free = len(model.actuators.gain), np.zeros(len(p), dtype=bool)
-    zeros = slice(len(p) - 12 - 2 * n, len(p) - 12 - n)
-    free[-12:-6], free[zeros] = register, rehome
-    if not free.any():
-        return p, np.zeros(n)
-    gain = model.robot(p).actuators.gain
-    if correction is not None:
-        measured = replace(measured, readings=measured.readings + correction(measured.readings) / gain)
-    found = refit(model, measured, p, free).p
-    moved = np.array(p)
-    moved[-12:] = found[-12:]
-    return moved, (found[zeros] - p[zeros]) / gain

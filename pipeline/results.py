@@ -165,11 +165,10 @@ class MethodScore:
 
 @dataclass(frozen=True)
 class Compensated:
-    """Desired poses, and where the commanded robot ends up: the true one if it is virtual, else as hybrid predicts."""
+    """The closed loop on a virtual robot: desired poses, and where it ends up when it is commanded to reach them."""
 
-    checked_on: str  # "virtual robot" or "hybrid"
     n_poses: int
-    scores: tuple[MethodScore, ...]  # of reached against desired poses
+    scores: tuple[MethodScore, ...]  # of reached against desired poses; empty for a real robot
 
 
 @dataclass(frozen=True)
@@ -185,8 +184,7 @@ class Comparison:
     methods: tuple[MethodScore, ...]
     held_out: tuple[MethodScore, ...]
     raw_nominal: MethodScore  # the nominal robot with W = T = 1
-    closed_loop: tuple[MethodScore, ...]  # after compensation: reached against desired poses
-    closed_loop_on: str
+    closed_loop: tuple[MethodScore, ...]  # after compensation: reached against desired poses (virtual robots)
 
 
 @dataclass(frozen=True)

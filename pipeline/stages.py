@@ -248,7 +248,12 @@ def compensate(
     evaluate: Evaluate,
     seed: int,
 ) -> Compensated:
-    """The closed loop: commands for desired poses by each method, and where the robot then is."""
+    """The closed loop: commands for desired poses by each method, and where the virtual robot then is.
+
+    Of a real robot nobody knows where it would be: its closed loop is measured, not computed.
+    """
+    if measured.truth is None:
+        return Compensated(0, ())
     import numpy as np
 
     from identification.error_model import ErrorModel
@@ -265,14 +270,13 @@ def compensate(
     workspace = model.mechanism.workspace
     u = _inner(model, evaluate.fresh_poses, seed)
     desired = errors.robot(identified.registered).measured(pose_at(chain, u))
-    robot = methods["hybrid"].predict if measured.truth is None else VirtualRobot.of(errors, measured.truth).pose
+    robot = VirtualRobot.of(errors, measured.truth).pose
     numbers = np.arange(len(u))
     reached = {
         name: robot(commands(method, desired, chain, errors.actuators.joints, workspace, numbers))
         for name, method in methods.items()
     }
     return Compensated(
-        checked_on="hybrid" if measured.truth is None else "virtual robot",
         n_poses=len(u),
         scores=tuple(method_score(name, pose, desired, channels) for name, pose in reached.items()),
     )
@@ -324,7 +328,6 @@ def evaluate(
         held_out=scores(by_held_out, test, test.as_poses(), channels),
         raw_nominal=scores({RAW: uncalibrated(errors)}, at, actual, channels)[0],
         closed_loop=compensated.scores,
-        closed_loop_on=compensated.checked_on,
     )
 
 

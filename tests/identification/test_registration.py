@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from identification.estimators import refit, register
+from identification.estimators import register
 from identification.registration import starts
 from urdf.errors import CalibrationError, InputError
 from urdf.kinematics import inverse
@@ -140,23 +140,6 @@ def test_too_few_poses(n, robot):
     for attempt in (lambda: starts(tool, measured), lambda: register(loaded.model, measured)):
         with pytest.raises(InputError, match=rf"{n} poses can't register W and T; at least 3"):
             attempt()
-
-
-def test_refitting_w_after_the_instrument_was_set_up_anew(robot):
-    """A known robot, another W of any size: W comes back and nothing else moves."""
-    loaded = robot("jugglebot")
-    for seed in range(3):
-        random = np.random.default_rng(600 + seed)
-        known = loaded.random_parameters(seed, target=random_motion(random))
-        moved = known.copy()
-        moved[-12:-6] = random_motion(random).vector()
-        free = np.zeros(len(known), dtype=bool)
-        free[-12:-6] = True
-        for channels in (("orientation", "position"), ("tilt", "position"), ("position",)):
-            measured = loaded.measure(moved, loaded.readings(12, seed), channels)
-            found = refit(loaded.model, measured, known, free)
-            np.testing.assert_allclose(found.p[~free], known[~free], rtol=0, atol=1e-14)
-            assert_same(loaded.model.robot(found.p).instrument, loaded.model.robot(moved).instrument)
 
 
 def test_registration_that_cannot_converge_says_so(robot):

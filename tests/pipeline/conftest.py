@@ -15,14 +15,10 @@ from pipeline.cli import main
 from pipeline.fingerprint import ROOT
 from pipeline.results import Comparison
 from pipeline.runner import Run, all_stages
-from urdf.description import ROBOTS, RobotDescription, load_robot
+from urdf.description import ROBOTS, load_robot
 
 # Networks of a few steps on a few poses, in all tests here: what they learn is not looked at.
-SMALL = tuple(
-    setting
-    for setting in ("prior.poses=27", "pretrain.iterations=2", "pretrain.continued=1", "transfer.iterations=2")
-    if setting.partition(".")[0] in RobotDescription.model_fields
-)
+SMALL = ("prior.poses=125", "pretrain.iterations=15", "pretrain.continued=3", "transfer.iterations=10")
 QUICK = ("plan.poses=12", *SMALL)
 ROBOT_COMMANDS = ("run", "inspect", "compare", "status", "predict", "evaluate", "compensate")
 

@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from identification.error_model import ErrorModel
 from pipeline.cli import app
-from pipeline.comparison import METHODS
+from pipeline.methods import METHODS
 from pipeline.virtual_robot import VirtualRobot
 
 SET = ("--set", "plan.poses=12")

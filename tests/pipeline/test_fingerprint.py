@@ -132,6 +132,7 @@ def test_what_a_stage_really_imports_is_in_its_closure(finished, tmp_path, envir
     script = f"""
 import json, sys
 from pathlib import Path
+import pipeline.cli  # sets the number of threads
 from pipeline.artifacts import Store
 from pipeline.fingerprint import PACKAGES
 from pipeline.runner import Run

@@ -5,7 +5,7 @@ from html.parser import HTMLParser
 
 import pytest
 
-from pipeline.comparison import METHODS
+from pipeline.methods import METHODS
 
 NAMES = (  # of XML vocabularies: identifiers that nobody fetches
     "http://www.w3.org/2000/svg",

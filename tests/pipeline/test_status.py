@@ -35,7 +35,7 @@ def test_half_a_run(start, tmp_path):
         ("plan.poses=13", "setting plan.poses 12 -> 13"),
         ("sensor.orientation_deg=0.001", "setting sensor.orientation_deg 0.0006 -> 0.001"),
         ("measure.errors.elastic=false", "setting measure.errors.elastic True -> False"),
-        ("identify.max_iterations=40", "setting identify.max_iterations 50 -> 40"),
+        ("split.test=0.25", "setting split.test 0.2 -> 0.25"),
         ("evaluate.fresh_poses=600", "setting evaluate.fresh_poses 500 -> 600"),
         ("workspace.max_condition=99", "setting mechanism.workspace.max_condition 100.0 -> 99.0"),
     ],
