@@ -13,7 +13,7 @@ from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
 
 from pipeline.fingerprint import ROOT
-from pipeline.results import Comparison, Filtered, Identified, Model, Pretrained, Transferred
+from pipeline.results import Comparison, Filtered, Identified, Learned, Model, Pretrained, Transferred
 from pipeline.tables import comparison_tables, parameter_table
 
 _STYLE: Any = {"svg.hashsalt": "kincal", "svg.fonttype": "none", "font.size": 9, "font.family": "sans-serif"}
@@ -37,6 +37,7 @@ def page(
             "methods": _methods(compared),
             "singular_values": _singular_values(identified),
             "residuals": _residuals(identified),
+            "training": _training(pretrained, transferred.fits[0]),
         }
     return environment.get_template("report.html").render(
         model=model,
@@ -47,6 +48,7 @@ def page(
         compared=compared,
         comparison=comparison_tables(compared.methods, compared.raw_nominal),
         held_out=comparison_tables(compared.held_out),
+        closed_loop=comparison_tables(compared.closed_loop),
         parameters=parameter_table(identified.shipped),
         **figures,
     )
@@ -94,6 +96,29 @@ def _singular_values(identified: Identified) -> Markup:
     axes.axhline(shipped.rank_tolerance, color=_RED, lw=1, label="tolerance")
     axes.set_xlabel("singular value of the identification Jacobian")
     axes.legend(frameon=False)
+    return _svg(figure)
+
+
+def _training(pretrained: Pretrained, learned: Learned) -> Markup:
+    """Training (full) and validation (dashed) loss; the source task, then the measured poses."""
+    figure = Figure(figsize=(6.4, 2.8), layout="constrained")
+    left, right = figure.subplots(1, 2, sharey=True)
+    half = learned.curve.shape[1] // 2
+    names = ("network", "transfer", "transfer_identified")
+    curves: tuple[tuple[Any, str, np.ndarray, np.ndarray, tuple[str, ...]], ...] = (
+        (left, "pre-training", pretrained.curve[:, :1], pretrained.curve[:, 1:], ("source task",)),
+        (right, "measured poses", learned.curve[:, :half], learned.curve[:, half:], names),
+    )
+    for axes, title, train, held, labels in curves:
+        for k, (name, colour) in enumerate(zip(labels, (_BLUE, _RED, _GREY), strict=False)):
+            axes.semilogy(train[:, k], color=colour, lw=1, label=name)
+            axes.semilogy(held[:, k], color=colour, lw=1, ls="--")
+        axes.set_title(title, fontsize=9)
+        axes.set_xlabel("iteration")
+        axes.spines[["top", "right"]].set_visible(False)
+        axes.grid(alpha=0.25)
+        axes.legend(frameon=False, fontsize=8)
+    left.set_ylabel("mean square, scaled")
     return _svg(figure)
 
 

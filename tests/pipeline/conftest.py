@@ -17,17 +17,24 @@ from pipeline.results import Comparison
 from pipeline.runner import Run, all_stages
 from urdf.description import ROBOTS, load_robot
 
-# Networks of a few steps on a few poses, in all tests here: what they learn is not looked at.
-SMALL = ("prior.poses=125", "pretrain.iterations=15", "pretrain.continued=3", "transfer.iterations=10")
+# In all tests here, unless they say otherwise: a tracker, and small networks whose accuracy is not looked at.
+SMALL = (
+    'measure.channels=["orientation"]',
+    "prior.poses=125",
+    "pretrain.iterations=15",
+    "pretrain.continued=3",
+    "transfer.iterations=10",
+)
 QUICK = ("plan.poses=12", *SMALL)
 ROBOT_COMMANDS = ("run", "inspect", "compare", "status", "predict", "evaluate", "compensate")
 
 
 def _complete(arguments) -> list[str]:
-    """The command line, with small networks."""
-    given = [str(a) for a in arguments]
-    small = [part for setting in SMALL for part in ("--set", setting)]
-    return given + small if given[0] in ROBOT_COMMANDS and "--help" not in given else given
+    """The command line, with the settings above; its own come last, and win."""
+    command, *given = (str(a) for a in arguments)
+    if command not in ROBOT_COMMANDS or "--help" in given:
+        return [command, *given]
+    return [command, *(part for setting in SMALL for part in ("--set", setting)), *given]
 
 
 @dataclass(frozen=True)

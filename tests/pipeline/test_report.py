@@ -1,7 +1,9 @@
 """The report: one page that needs nothing else, says everything, and believes no name."""
 
 import re
+import shutil
 from html.parser import HTMLParser
+from pathlib import Path
 
 import pytest
 
@@ -93,23 +95,21 @@ def test_its_numbers_are_those_of_the_comparison(page, finished):
 
 def test_the_same_run_gives_the_same_bytes(html, start, finished, tmp_path):
     """No clock, no random identifiers in the figures."""
-    run, _ = start(tmp_path / "store", *finished.settings)
+    store = shutil.copytree(finished.store, tmp_path / "store")
+    run, events = start(Path(store), *finished.settings, force_from="report")
     assert str(run.until("report")[0].html) == html
+    assert "ran" in {e.state for e in events}
 
 
-def test_a_hostile_file_name_is_escaped(start, finished, tmp_path):
-    table = tmp_path / f"{HOSTILE}.csv"
-    finished.table.to_csv(table, index=False)
-    run, _ = start(tmp_path / "store", "split.test=0.5", "measure.source=files", f"measure.table='''{table}'''")
-    page = Page(str(run.until("report")[0].html))
-    assert HOSTILE in page.text
-    assert "img" not in page.tags
-
-
-def test_hostile_joint_names_are_escaped(start, robot_folder, tmp_path):
+def test_hostile_names_are_escaped(start, finished, robot_folder, tmp_path):
+    """Of a file and of a joint; a robot's own name may have no such characters."""
     urdf = robot_folder / "robot.urdf"
     urdf.write_text(urdf.read_text().replace("leg1_u1", "&lt;img src=x onerror=alert(1)&gt;"))
-    run, _ = start(tmp_path / "store", "plan.poses=12", robot=robot_folder)
+    table = tmp_path / f"{HOSTILE}.csv"
+    finished.table.to_csv(table, index=False)
+    settings = ("split.test=0.5", "measure.source=files", f"measure.table='''{table}'''")
+    run, _ = start(tmp_path / "store", *settings, robot=robot_folder)
     page = Page(str(run.until("report")[0].html))
+    assert HOSTILE in page.text
     assert "<img src=x onerror=alert(1)>.x" in page.text
     assert "img" not in page.tags

@@ -156,7 +156,7 @@ def test_only_the_channels_asked_for_are_measured(start, tmp_path):
         ('["tilt", "yaw"]', {"roll", "pitch", "yaw"}),
         ('["position"]', {"x", "y", "z"}),
     ]:
-        run, _ = start(tmp_path / "store", "plan.poses=6", f"measure.channels={channels}")
+        run, _ = start(tmp_path / "store", "plan.poses=6", f"measure.channels={channels}", robot="ups3_s_printed")
         assert set(run.until("measure")[0].table) == columns | {"pose", *run.robot.description.actuated}
 
 
