@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from scipy.special import chdtri
 
 from identification.error_model import ErrorModel
 from identification.estimators import Estimate
@@ -10,7 +11,8 @@ from identification.identifiability import identifiability
 from identification.identification import Identification, Outlier, ResidualSize
 from identification.measurements import Measurements
 
-_OUTLIER = 3.5  # times the median error of its kind: 5.4 sigma where errors are Gaussian
+_OUTLIER = 1e-5  # the probability that a good pose looks like one
+_ROWS = {"orientation": 3, "tilt": 2, "yaw": 1, "position": 3}
 
 
 def summarise(model: ErrorModel, measured: Measurements, estimate: Estimate, registered: Estimate) -> Identification:
@@ -56,7 +58,7 @@ def _residuals(
     """Root mean squares, and each pose's error by channel [rad or m]."""
     whitened = estimate.residual.reshape(len(measured), -1)
     sizes, row = {}, 0
-    for channel, rows in (("orientation", 3), ("tilt", 2), ("yaw", 1), ("position", 3)):
+    for channel, rows in _ROWS.items():
         if channel in measured.channels:
             sigma = getattr(measured, f"{channel}_std")
             sizes[channel] = np.linalg.norm(whitened[:, row : row + rows], axis=1) * sigma
@@ -85,11 +87,13 @@ def _rms(values: np.ndarray | None, factor: float) -> float | None:
 
 
 def _outliers(measured: Measurements, by_channel: dict[str, np.ndarray]) -> tuple[Outlier, ...]:
+    """Poses whose error is too large for a Gaussian of the width that the median tells."""
     found = []
     for channel, size in by_channel.items():
         factor, unit = (1e3, "mm") if channel == "position" else (180 / np.pi, "deg")
-        median = float(np.median(size))
-        for k in np.flatnonzero(size > _OUTLIER * median):
+        median, dimensions = float(np.median(size)), _ROWS[channel]
+        limit = np.sqrt(chdtri(dimensions, _OUTLIER) / chdtri(dimensions, 0.5))  # in medians
+        for k in np.flatnonzero(size > limit * median):
             reason = f"{channel} is off by {factor * size[k]:.3g} {unit}, {size[k] / median:.1f} times the median"
             found.append(Outlier(int(measured.pose[k]), reason))
     return tuple(sorted(found, key=lambda o: o.pose))

@@ -96,7 +96,7 @@ def test_across_half_a_turn(centre):
 @pytest.mark.parametrize("outlier_deg", [2.0, 0.2, 100.0])
 def test_outliers_at_the_start_leave_no_bias(first, outlier_deg):
     """Against the same stream without these samples: a filter that starts from one would not agree."""
-    raw = stream(attitudes(30, seed=3), seed=3, stream=STREAM.model_copy(update={"outliers": 0.0}))
+    raw = stream(attitudes(10, seed=3), seed=3, stream=STREAM.model_copy(update={"seconds": 2.0, "outliers": 0.0}))
     number = raw.groupby("pose").cumcount()
     spoiled = raw.copy()
     spoiled.loc[number < first, list(ANGLES)] += np.deg2rad(outlier_deg)

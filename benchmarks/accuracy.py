@@ -1,0 +1,55 @@
+"""Accuracy of the six methods on virtual 3-UPS/S platforms: medians over five seeds (robot, noise, split, networks).
+
+Each row is the mean volumetric error on 500 fresh poses against the noise-free truth, in degrees.
+"""
+
+from __future__ import annotations
+
+import statistics
+import sys
+import tempfile
+from pathlib import Path
+
+from pipeline.artifacts import Store
+from pipeline.runner import Run
+from urdf.description import load_robot
+
+SEEDS = range(5)
+CASES = {
+    "default: inclinometer and heading streams, 150 poses": [],
+    "the same, 50 poses": ["plan.poses=50"],
+    "the same, 10 poses": ["plan.poses=10"],
+    "tracker-like orientation, 150 poses": ['measure.channels=["orientation"]'],
+    "the same, geometric errors only": [
+        'measure.channels=["orientation"]',
+        "measure.errors.elastic=false",
+        "measure.errors.screw=false",
+    ],
+    "inclinometer alone (scored on tilt), 150 poses": ['measure.channels=["tilt"]'],
+}
+
+
+def main() -> None:
+    with tempfile.TemporaryDirectory() as folder:
+        for case, settings in CASES.items():
+            if sys.argv[1:] and not any(word in case for word in sys.argv[1:]):
+                continue
+            found = [_compare(Path(folder), [*settings, f"seed={seed}"]) for seed in SEEDS]
+            print(f"\n{case}\n{'method':<22}{'mean':>9}{'max':>9}   mean after compensation", flush=True)
+            rows = [[f.raw_nominal, *f.methods] for f in found]
+            for k, first in enumerate(rows[0]):
+                mean, largest = (
+                    statistics.median(getattr(r[k], name) for r in rows) for name in ("mean_deg", "max_deg")
+                )
+                loop = statistics.median(f.closed_loop[k - 1].mean_deg for f in found) if k else None
+                print(
+                    f"{first.name:<22}{mean:9.5f}{largest:9.5f}   {'' if loop is None else f'{loop:.5f}'}", flush=True
+                )
+
+
+def _compare(store: Path, settings: list[str]):
+    return Run(load_robot("ups3_s", settings), Store(store)).until("evaluate")[0]
+
+
+if __name__ == "__main__":
+    main()
