@@ -6,12 +6,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from urdf.rigid_motion import Motion, vee
+from urdf.rigid_motion import Motion, log
 
 
 def orientation_error(actual: np.ndarray, predicted: np.ndarray) -> np.ndarray:
-    """(n, 3) [rad]: the vector of the skew part of R_actual^-1 R_predicted (eq. 7 and 8); for small errors."""
-    return vee(np.swapaxes(actual, -1, -2) @ predicted)
+    """(n, 3) [rad]: the rotation vector of R_actual^-1 R_predicted.
+
+    For small errors the vector of its skew part (eq. 7 and 8), which it equals to third order; but half a turn is one.
+    """
+    return log(np.swapaxes(actual, -1, -2) @ predicted)
 
 
 def gravity_error(actual: np.ndarray, predicted: np.ndarray) -> np.ndarray:

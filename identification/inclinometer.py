@@ -72,10 +72,10 @@ def filter_stream(stream: pd.DataFrame, poses: np.ndarray, sensor: Sensor, setti
         samples = part[channels].to_numpy(float)
         _check(samples, channels, int(pose), settings, what)
         found = static_attitude(part["t"].to_numpy(float), samples, sigma, settings)
-        if found.used < settings.min_samples:
+        if found.used < max(settings.min_samples, found.gated):
             raise InputError(
                 f"{what}: pose {pose}: {found.gated} of {len(samples)} samples are outliers; "
-                f"allowed are poses with at least {settings.min_samples} good ones"
+                f"allowed are fewer than half, and at least {settings.min_samples} good samples"
             )
         variance = np.diag(found.covariance)
         row = {

@@ -125,7 +125,7 @@ def load(file: Path, measure: Measure) -> pd.DataFrame:
 def numbers(values: Sequence[object], column: Column, file: Path) -> np.ndarray:
     """Column values as finite numbers in SI units. Raises InputError that names the row."""
     found = np.array(pd.to_numeric(pd.Series(values), errors="coerce"), dtype=float)
-    bad = np.flatnonzero(~np.isfinite(found) | [isinstance(value, bool) for value in values])
+    bad = np.flatnonzero(~np.isfinite(found) | np.array([isinstance(value, bool) for value in values], dtype=bool))
     if len(bad):
         raise InputError(
             f"{file}: column {column.source!r}, row {bad[0] + 1}: found {values[bad[0]]!r}; allowed are finite numbers"

@@ -6,6 +6,7 @@ else to one JSON document. Nothing is ever pickled.
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import io
 import json
@@ -29,6 +30,10 @@ from urdf.errors import InputError
 
 class Damaged(Exception):
     """A stored artifact is not what its manifest says."""
+
+    def __init__(self, message: str, folder: Path) -> None:
+        super().__init__(message)
+        self.folder = folder
 
 
 @dataclass(frozen=True)
@@ -138,16 +143,13 @@ class Store:
         self.root = root.absolute()
 
     def find(self, stage: str, key: str) -> Entry | None:
-        """The artifact of a key; None where there is none, or its manifest is broken."""
+        """The artifact of a key; None where there is none. Raises Damaged where its manifest is broken."""
         folder = self._folder(stage, key)
-        manifest = _read_json(folder / "manifest.json")
-        sealed = (
-            isinstance(manifest, dict) and manifest.pop("seal", None) == digest(manifest) and manifest.get("key") == key
-        )
-        if sealed:
+        manifest = _sealed(folder)
+        if manifest is not None and manifest.get("key") == key:
             return Entry(folder, manifest)
         if folder.exists():
-            self.set_aside(folder)
+            raise Damaged(f"{folder / 'manifest.json'}: not what was stored", folder)
         return None
 
     def load(self, entry: Entry, kind: type) -> Any:
@@ -157,13 +159,14 @@ class Store:
             try:
                 files[name] = (entry.folder / name).read_bytes()
             except OSError as error:
-                raise Damaged(f"{entry.folder / name}: {error.strerror}") from None
+                raise Damaged(f"{entry.folder / name}: {error.strerror}", entry.folder) from None
             if len(files[name]) != sealed["bytes"] or digest(files[name]) != sealed["sha256"]:
-                raise Damaged(f"{entry.folder / name}: its content is not what was stored")
+                raise Damaged(f"{entry.folder / name}: its content is not what was stored", entry.folder)
         try:
             return decode(files, kind)
         except Exception as error:  # whole, but written by another version of the formats
-            raise Damaged(f"{entry.folder}: not readable as {kind.__name__} ({type(error).__name__})") from None
+            what = f"not readable as {kind.__name__} ({type(error).__name__})"
+            raise Damaged(f"{entry.folder}: {what}", entry.folder) from None
 
     def save(self, stage: str, key: str, value: Any, manifest: Mapping[str, Any], replace: bool = False) -> Entry:
         """Write into a temporary folder, flush, seal, rename into place. Raises InputError where the disk refuses.
@@ -206,20 +209,21 @@ class Store:
             folder.rename(aside)
 
     def last(self, robot: str, stage: str) -> Mapping[str, Any] | None:
-        """The manifest that a robot's stage used last; None where it never ran."""
-        reference = _read_json(self.root / "robots" / robot / f"{stage}.json")
+        """The manifest that a robot's stage used last; None where it never ran, empty where that is lost."""
+        file = self.root / "robots" / robot / f"{stage}.json"
+        reference = _read_json(file)
         key = reference.get("key") if isinstance(reference, dict) else None
-        manifest = _read_json(self._folder(stage, key) / "manifest.json") if isinstance(key, str) else None
-        return manifest if isinstance(manifest, dict) else None
+        if not isinstance(key, str):
+            return {} if file.exists() else None
+        return _sealed(self._folder(stage, key)) or {}
 
     def remember(self, robot: str, stage: str, key: str) -> None:
         self.publish(robot, f"{stage}.json", json.dumps({"key": key}).encode())
 
     def publish(self, robot: str, name: str, content: bytes) -> Path:
-        """A copy for people, under a name that does not change."""
+        """A copy for people, or a note of what was used, under a name that does not change."""
         file = self.root / "robots" / robot / name
-        if not (file.is_file() and file.read_bytes() == content):
-            self._replace(file, content)
+        self._note(file, content)
         return file
 
     def read_memo(self) -> dict[str, Any]:
@@ -230,8 +234,15 @@ class Store:
         return sealed["memo"]
 
     def write_memo(self, memo: Mapping[str, Any]) -> None:
-        if self.read_memo() != json.loads(canonical(memo)):
-            self._replace(self.root / "code.json", json.dumps({"memo": memo, "seal": digest(memo)}).encode())
+        """Keep what was found out, where it is new."""
+        if not set(memo) <= set(self.read_memo()):
+            self._note(self.root / "code.json", json.dumps({"memo": memo, "seal": digest(memo)}).encode())
+
+    def _note(self, file: Path, content: bytes) -> None:
+        """Write what saves work or eases a look; a store that takes no more is no reason to withhold a result."""
+        if not (file.is_file() and file.read_bytes() == content):
+            with contextlib.suppress(InputError):
+                self._replace(file, content)
 
     def _replace(self, file: Path, content: bytes) -> None:
         """Write a small file at once or not at all."""
@@ -271,6 +282,13 @@ class Store:
 
     def _folder(self, stage: str, key: str) -> Path:
         return self.root / "artifacts" / stage / key[:40]
+
+
+def _sealed(folder: Path) -> dict[str, Any] | None:
+    """A folder's manifest, if it is whole."""
+    manifest = _read_json(folder / "manifest.json")
+    whole = isinstance(manifest, dict) and manifest.pop("seal", None) == digest(manifest)
+    return manifest if whole else None
 
 
 def _read_json(file: Path) -> Any:

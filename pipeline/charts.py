@@ -60,11 +60,13 @@ class Chart:
             return self.of_tool(tool)
         modelled = self.robot.close(measured.readings).pose
         parts = []
+        rotation = modelled.rotation
         if self.tilt:
             parts.append(self._vertical(vertical_in_target(measured) @ self.robot.target.rotation.T))
-        if self.moved:  # the target's lever arm, turned as the model has it
+            rotation = self._tilted(rotation, parts[0])
+        if self.moved:  # the target's lever arm, turned as the model (and the tilt) has it
             at = self.robot.instrument.inverse() @ Motion(np.eye(3), pose.translation)
-            arm = modelled.rotation @ self.robot.target.translation
+            arm = rotation @ self.robot.target.translation
             parts.append(at.translation - arm - self.robot.chain.home_pose.translation)
         return np.concatenate(parts, axis=1)
 

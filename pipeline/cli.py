@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import shlex
 import sys
 from collections.abc import Callable
@@ -17,10 +16,6 @@ from rich.table import Table as RichTable
 from rich.text import Text
 
 from urdf.errors import CalibrationError, InputError
-
-# Our matrices are small: more threads don't make them faster, but the sums' last bits depend on their number.
-for _library in ("OPENBLAS", "OMP", "MKL"):
-    os.environ.setdefault(f"{_library}_NUM_THREADS", "1")
 
 app = App(
     name="kincal",
@@ -277,6 +272,8 @@ def _show_comparison(compared) -> None:
         out.print(Text("after compensation, where the virtual robot is against where it should be", style="bold"))
         for table in comparison_tables(compared.closed_loop):
             _show_table(table)
+        for name, n in compared.not_reached.items():
+            out.print(f"{name} has no command for {n} of the desired poses; its row is of the others")
 
 
 def _show_table(table, align: Literal["left", "right"] = "right") -> None:

@@ -2,44 +2,56 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from pipeline.methods import Method
+from urdf.actuators import Actuators
 from urdf.closed_chain import ClosedChain
 from urdf.description import Workspace
 from urdf.errors import InputError
-from urdf.kinematics import forward
+from urdf.kinematics import Closure, forward
 from urdf.rigid_motion import Motion
-from urdf.workspace import condition_numbers
+from urdf.workspace import check_limits, condition_numbers
 
-_LIMIT_SLACK = 1e-9
+
+@dataclass(frozen=True)
+class Attempt:
+    """Readings (n, n_actuated) for desired poses (n), and what stands in the way of each."""
+
+    readings: np.ndarray
+    reached: np.ndarray  # (n,) the method's own prediction is the desired pose
+    closure: Closure  # of the nominal robot there
+    condition: np.ndarray  # (n,) its condition numbers
+
+    def good(self, chain: ClosedChain, workspace: Workspace) -> np.ndarray:
+        """(n,) reached, closed, within the joint limits and away from singularities."""
+        inside = ((self.closure.q >= chain.lower) & (self.closure.q <= chain.upper)).all(axis=1)
+        return self.reached & self.closure.closed & inside & (self.condition <= workspace.max_condition)
+
+
+def attempt(method: Method, desired: Motion, chain: ClosedChain, actuators: Actuators) -> Attempt:
+    """The commands for desired poses (n) in the measurement frame; chain and actuators are the nominal ones."""
+    readings, reached = method.command(desired)
+    closure = forward(chain, actuators.joints(readings))
+    return Attempt(readings, reached, closure, condition_numbers(chain, closure.q))
 
 
 def commands(
-    method: Method, desired: Motion, chain: ClosedChain, joints_of, workspace: Workspace, poses: np.ndarray
+    method: Method, desired: Motion, chain: ClosedChain, actuators: Actuators, workspace: Workspace, poses: np.ndarray
 ) -> np.ndarray:
-    """Readings (n, n_actuated) that reach desired poses (n), numbered `poses` (n,), in the measurement frame.
+    """Readings (n, n_actuated) that reach desired poses (n), numbered `poses` (n,).
 
-    joints_of: readings to nominal joint values, by which limits and singularities of the nominal `chain` are judged.
     Raises InputError that names the first pose that can't be reached, breaks a joint limit or is near a singularity.
     """
-    readings, reached = method.command(desired)
-    _refuse(~reached, poses, "can't be reached")
-    joints = joints_of(readings)
-    low, high = chain.lower[chain.actuated] - _LIMIT_SLACK, chain.upper[chain.actuated] + _LIMIT_SLACK
-    outside = (joints < low) | (joints > high)
-    if outside.any():
-        row, k = np.argwhere(outside)[0]
-        raise InputError(
-            f"pose {poses[row]}: joint {chain.actuated_names[k]!r} would be at {joints[row, k]:.6g}; "
-            f"its limits are [{low[k]:.6g}, {high[k]:.6g}]"
-        )
-    closure = forward(chain, joints)
-    _refuse(~closure.closed, poses, "can't be reached: the loops don't close there")
-    condition = condition_numbers(chain, closure.q)
-    near = condition > workspace.max_condition
-    _refuse(near, poses, f"is near a singularity (condition number beyond max_condition = {workspace.max_condition:g})")
-    return readings
+    tried = attempt(method, desired, chain, actuators)
+    _refuse(~tried.reached, poses, "can't be reached")
+    _refuse(~tried.closure.closed, poses, "can't be reached: the loops don't close there")
+    check_limits(chain, tried.closure.q, lambda row: f"pose {poses[row]}")
+    why = f"is near a singularity (condition number beyond max_condition = {workspace.max_condition:g})"
+    _refuse(tried.condition > workspace.max_condition, poses, why)
+    return tried.readings
 
 
 def _refuse(bad: np.ndarray, poses: np.ndarray, why: str) -> None:

@@ -61,30 +61,59 @@ def _analyse(source: bytes, extra: bytes, root: Path) -> Facts:
     parsed = ast.parse(source)
     _strip_docstrings(parsed)
     facts: Facts = {_WHOLE: (_sha(ast.dump(parsed).encode() + extra), _modules(parsed, root))}
-    named = {n.name: n for n in parsed.body if isinstance(n, (ast.FunctionDef, ast.ClassDef))}
-    assigned = {t.id: n for n in parsed.body if isinstance(n, ast.Assign) for t in n.targets if isinstance(t, ast.Name)}
-    outside = ast.Module([n for n in parsed.body if n not in named.values()], [])
-    top = [n for n in ast.walk(outside) if isinstance(n, (ast.Import, ast.ImportFrom))]
-    bound = {alias.asname or alias.name.partition(".")[0]: node for node in top for alias in node.names}
+    definitions = (ast.FunctionDef, ast.AsyncFunctionDef, ast.ClassDef)
+    named = {n.name: n for n in parsed.body if isinstance(n, definitions)}
+    # Any other statement counts for each name that it touches.
+    others: dict[str, list[ast.AST]] = {}
+    for statement in parsed.body:
+        if statement not in named.values():
+            for name in _touched(statement):
+                others.setdefault(name, []).append(statement)
     scopes = {t.get_name(): t for t in symtable.symtable(source.decode(), "<source>", "exec").get_children()}
     for name in named:
-        seen: dict[str, ast.AST] = {}
+        seen: dict[int, ast.AST] = {}
         queue = [name]
+        done: set[str] = set()
         while queue:
             part = queue.pop()
-            node = named.get(part) or assigned.get(part) or bound.get(part)
-            if node is not None and part not in seen:
-                seen[part] = node
-                queue += _globals(node, scopes.get(part))
-        text = "\n".join(ast.dump(seen[part]) for part in sorted(seen))
+            if part in done:
+                continue
+            done.add(part)
+            for node in [*([named[part]] if part in named else []), *others.get(part, [])]:
+                if id(node) not in seen:
+                    seen[id(node)] = node
+                    queue += _globals(node, scopes.get(part)) if node is named.get(part) else _names(node)
+        text = "\n".join(sorted(ast.dump(node) for node in seen.values()))
         facts[name] = (_sha(text.encode()), sorted({m for node in seen.values() for m in _modules(node, root)}))
     return facts
+
+
+def _touched(statement: ast.stmt) -> set[str]:
+    """The names that a statement binds, changes or may change: X = .., X["a"] = .., X += .., X.append(..)."""
+    found: set[str] = set()
+    for node in ast.walk(statement):
+        if isinstance(node, ast.Assign):
+            targets: list[ast.AST] = list(node.targets)
+        elif isinstance(node, (ast.AnnAssign, ast.AugAssign, ast.For, ast.NamedExpr)):
+            targets = [node.target]
+        elif isinstance(node, ast.Expr):
+            targets = [node.value]
+        elif isinstance(node, ast.withitem):
+            targets = [node]
+        else:
+            targets = []
+        found |= {n.id for target in targets for n in ast.walk(target) if isinstance(n, ast.Name)}
+        if isinstance(node, (ast.Import, ast.ImportFrom)):
+            found |= {alias.asname or alias.name.partition(".")[0] for alias in node.names}
+        elif isinstance(node, (ast.FunctionDef, ast.AsyncFunctionDef, ast.ClassDef)):
+            found.add(node.name)
+    return found
 
 
 def _globals(node: ast.AST, scope: symtable.SymbolTable | None) -> list[str]:
     """The module-level names that a definition uses: Python's own scoping for bodies, every name elsewhere."""
     if scope is None:
-        return [n.id for n in ast.walk(node) if isinstance(n, ast.Name)]
+        return _names(node)
     found, scopes = [], [scope]
     while scopes:
         table = scopes.pop()
@@ -97,6 +126,10 @@ def _globals(node: ast.AST, scope: symtable.SymbolTable | None) -> list[str]:
         parts += [*getattr(inner, "defaults", []), *getattr(inner, "kw_defaults", [])]
         found += [n.id for part in parts if part is not None for n in ast.walk(part) if isinstance(n, ast.Name)]
     return found
+
+
+def _names(node: ast.AST) -> list[str]:
+    return [n.id for n in ast.walk(node) if isinstance(n, ast.Name)]
 
 
 def _sha(content: bytes) -> str:

@@ -14,7 +14,7 @@ from learning.residual import Correction
 from pipeline.charts import Chart
 from pipeline.results import Fit, Learned
 from urdf.kinematics import Closure, forward, inverse, tool_coordinates
-from urdf.rigid_motion import Motion
+from urdf.rigid_motion import Motion, wrap
 
 METHODS = ("nominal", "geometric", "network", "transfer", "transfer_identified", "hybrid")  # in the table's order
 _ITERATIONS = 30
@@ -48,18 +48,19 @@ class ModelMethod:
 
     def command(self, desired: Motion) -> tuple[np.ndarray, np.ndarray]:
         chain, actuators = self.robot.chain, self.robot.actuators
-        tool = self.robot.instrument.inverse() @ desired @ self.robot.target.inverse()
-        found = inverse(chain, tool_coordinates(chain, tool))
+        u = tool_coordinates(chain, self.robot.instrument.inverse() @ desired @ self.robot.target.inverse())
+        found = inverse(chain, u)
         wanted = found.q[:, chain.actuated]
         readings = actuators.readings(wanted)
-        if self.correction is None:
-            return readings, found.closed
-        for _ in range(_ITERATIONS):  # q + delta(q) = q*: delta is small and smooth, so each step gains three digits
+        for _ in range(_ITERATIONS if self.correction else 0):
+            # q + delta(q) = q*: delta is small and smooth, so each step gains three digits
             last, readings = readings, actuators.readings(wanted - self._delta(readings))
             if np.max(np.abs(actuators.gain * (readings - last)), initial=0.0) < 1e-14:
                 break
-        left = np.abs(actuators.joints(readings) + self._delta(readings) - wanted).max(axis=1)
-        return readings, found.closed & (left < _REACHED)
+        # There, and not on another assembly branch of the same actuators' values?
+        closure, axes = self.close(readings), list(chain.tool_axes)
+        left = np.abs(wrap(tool_coordinates(chain, closure.pose) - u)[:, axes]).max(axis=1)
+        return readings, found.closed & closure.closed & (left < _REACHED)
 
     def _delta(self, readings: np.ndarray) -> np.ndarray:
         return 0.0 * readings if self.correction is None else self.correction(readings)

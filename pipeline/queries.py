@@ -88,7 +88,7 @@ def compensated_table(session: Run, file: Path, method: str) -> pd.DataFrame:
     description = session.robot.description
     settings = description.measure.model_copy(update={"columns": {}})
     desired, numbers = _desired(read_table(file, (), settings), model, identified, description, file)
-    readings = commands(chosen, desired, model.chain, model.actuators.joints, description.workspace, numbers)
+    readings = commands(chosen, desired, model.chain, model.actuators, description.workspace, numbers)
     return pd.DataFrame({"pose": numbers, **dict(zip(model.chain.actuated_names, readings.T, strict=True))})
 
 
@@ -137,4 +137,5 @@ def evaluated(session: Run, file: Path, columns: Path | None, *, register: bool,
         held_out=(),
         raw_nominal=scores({RAW: uncalibrated(model)}, measured, actual, channels)[0],
         closed_loop=(),
+        not_reached={},
     )

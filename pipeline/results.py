@@ -168,7 +168,8 @@ class Compensated:
     """The closed loop on a virtual robot: desired poses, and where it ends up when it is commanded to reach them."""
 
     n_poses: int
-    scores: tuple[MethodScore, ...]  # of reached against desired poses; empty for a real robot
+    reached: dict[str, int]  # poses that each method has a command for, within limits
+    scores: tuple[MethodScore, ...]  # of these, against the desired ones; empty for a real robot
 
 
 @dataclass(frozen=True)
@@ -185,6 +186,7 @@ class Comparison:
     held_out: tuple[MethodScore, ...]
     raw_nominal: MethodScore  # the nominal robot with W = T = 1
     closed_loop: tuple[MethodScore, ...]  # after compensation: reached against desired poses (virtual robots)
+    not_reached: dict[str, int]  # poses that a method had no command for
 
 
 @dataclass(frozen=True)

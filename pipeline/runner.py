@@ -111,7 +111,7 @@ class Run:
     def _bring(self, stage: Stage, forced: bool) -> None:
         parts = self.key_parts(stage)
         key = digest(parts)
-        entry = None if forced else self.store.find(stage.name, key)
+        entry = None if forced else self._find(stage, key)
         if entry is None:
             why = "--force-from" if forced else explain(self.store.last(self.robot_id, stage.name), parts)
             self._produce(stage, parts, key, why, forced)
@@ -120,12 +120,24 @@ class Run:
             self.store.remember(self.robot_id, stage.name, key)
             self.observe(Event(stage.name, "cached"))
 
+    def _find(self, stage: Stage, key: str) -> Entry | None:
+        """The artifact of a key; a damaged one is set aside."""
+        try:
+            return self.store.find(stage.name, key)
+        except Damaged as damage:
+            self._set_aside(stage, damage)
+            return None
+
+    def _set_aside(self, stage: Stage, damage: Damaged) -> None:
+        self.observe(Event(stage.name, "damaged", str(damage)))
+        self.store.set_aside(damage.folder)
+
     def _produce(self, stage: Stage, parts: Mapping[str, Any], key: str, why: str, forced: bool = False) -> None:
         self.observe(Event(stage.name, "running", why))
         inputs = {name: self._value(all_stages()[source]) for name, source in stage.inputs.items()}
         with self.store.lock(stage.name, key):
             began = time.perf_counter()
-            found = None if forced else self.store.find(stage.name, key)  # another run may have made it meanwhile
+            found = None if forced else self._find(stage, key)  # another run may have made it meanwhile
             if found is None:
                 value = stage.function(**inputs, **{name: self._setting(name) for name in stage.settings})
                 seconds = time.perf_counter() - began
@@ -148,8 +160,7 @@ class Run:
         try:
             return self.store.load(self._entries[stage.name], stage.result)
         except Damaged as damage:
-            self.observe(Event(stage.name, "damaged", str(damage)))
-            self.store.set_aside(self._entries[stage.name].folder)
+            self._set_aside(stage, damage)
             parts = self.key_parts(stage)
             self._produce(stage, parts, digest(parts), "its artifact was damaged")
             return self.store.load(self._entries[stage.name], stage.result)
@@ -185,7 +196,11 @@ class Run:
                 yield stage.name, "missing" if last is None else "stale", f"{stale} must run first"
                 continue
             parts = self.key_parts(stage)
-            entry = self.store.find(stage.name, digest(parts))
+            try:
+                entry = self.store.find(stage.name, digest(parts))
+            except Damaged:
+                yield stage.name, "stale", "its artifact is gone or damaged"
+                continue
             if entry is None:
                 yield stage.name, "missing" if last is None else "stale", explain(last, parts)
             else:
@@ -197,6 +212,8 @@ def explain(last: Mapping[str, Any] | None, parts: Mapping[str, Any]) -> str:
     """Why a stage runs: the difference of what its key was made of last time and now."""
     if last is None:
         return "never ran for this robot"
+    if not last:
+        return "its artifact is gone or damaged"
     before = last.get("parts", {})
     for group, said in (
         ("settings", "setting"),

@@ -253,12 +253,12 @@ def compensate(
     Of a real robot nobody knows where it would be: its closed loop is measured, not computed.
     """
     if measured.truth is None:
-        return Compensated(0, ())
+        return Compensated(0, {}, ())
     import numpy as np
 
     from identification.error_model import ErrorModel
     from pipeline.comparison import method_score
-    from pipeline.compensation import commands
+    from pipeline.compensation import attempt
     from pipeline.methods import build
     from pipeline.virtual_robot import VirtualRobot
     from urdf.kinematics import pose_at
@@ -267,19 +267,17 @@ def compensate(
     errors = ErrorModel.of(chain, actuator, tolerance)
     channels = identified.shipped.channels
     methods = build(errors, identified.fits()[0], transferred.fits[0], channels)
-    workspace = model.mechanism.workspace
     u = _inner(model, evaluate.fresh_poses, seed)
     desired = errors.robot(identified.registered).measured(pose_at(chain, u))
-    robot = VirtualRobot.of(errors, measured.truth).pose
-    numbers = np.arange(len(u))
-    reached = {
-        name: robot(commands(method, desired, chain, errors.actuators.joints, workspace, numbers))
-        for name, method in methods.items()
-    }
-    return Compensated(
-        n_poses=len(u),
-        scores=tuple(method_score(name, pose, desired, channels) for name, pose in reached.items()),
-    )
+    robot = VirtualRobot.of(errors, measured.truth)
+    scores, reached = [], {}
+    for name, method in methods.items():  # a network that has seen few poses may have no answer for some
+        tried = attempt(method, desired, chain, errors.actuators)
+        rows = np.flatnonzero(tried.good(chain, model.mechanism.workspace))
+        reached[name] = len(rows)
+        if len(rows):
+            scores.append(method_score(name, robot.pose(tried.readings[rows]), desired[rows], channels))
+    return Compensated(len(u), reached, tuple(scores))
 
 
 def evaluate(
@@ -328,6 +326,9 @@ def evaluate(
         held_out=scores(by_held_out, test, test.as_poses(), channels),
         raw_nominal=scores({RAW: uncalibrated(errors)}, at, actual, channels)[0],
         closed_loop=compensated.scores,
+        not_reached={
+            name: compensated.n_poses - n for name, n in compensated.reached.items() if n < compensated.n_poses
+        },
     )
 
 

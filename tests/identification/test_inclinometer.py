@@ -178,9 +178,12 @@ def refused(raw: pd.DataFrame, tmp_path, *said: str, poses=(0, 1, 2), settings: 
     """Reading or filtering the stream ends in one line that says each of these."""
     file = tmp_path / "stream.csv"
     raw.to_csv(file, index=False)
+
+    def read_and_filter() -> None:
+        filter_stream(read_stream(file, Measure()), np.array(poses), SENSOR, settings or Filter(), str(file))
+
     with pytest.raises(InputError) as error:
-        found = read_stream(file, Measure())
-        filter_stream(found, np.array(poses), SENSOR, settings or Filter(), str(file))
+        read_and_filter()
     assert "\n" not in str(error.value)
     for text in ("stream.csv", *said):
         assert text in str(error.value)
@@ -231,7 +234,7 @@ def test_samples_that_never_agree_are_refused(raw, tmp_path):
     refused(raw, tmp_path, "pose 1", "outliers")
 
 
-@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("seed", range(2))
 def test_mostly_outliers_are_refused(raw, tmp_path, seed):
     """Four samples of five are 2 degrees off, up or down: which of the three is the attitude, nobody can tell."""
     random = np.random.default_rng(seed)

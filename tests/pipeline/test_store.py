@@ -141,6 +141,7 @@ def truncate(file: Path) -> None:
 
 
 SOME = ("plan", "measure", "evaluate")
+SLOW = ("pretrain", "transfer")  # one file of each will do
 
 
 @pytest.mark.parametrize("damage, stages", [(flip, None), (truncate, SOME), (Path.unlink, SOME)])
@@ -148,7 +149,8 @@ def test_damage_to_any_file_is_noticed_and_repaired(finished, start, tmp_path, s
     """A byte flipped in every file of every stage; and files cut off, or gone, in some."""
     silent = []
     for name in payload(finished.store):
-        if stages and name.split("/")[0] not in stages:
+        stage, file_name = name.split("/")
+        if (stages and stage not in stages) or (stage in SLOW and file_name != "value.json"):
             continue
         store = Path(shutil.copytree(finished.store, tmp_path / name.replace("/", "-")))
         (file,) = (store / "artifacts").glob(f"{name.split('/')[0]}/*/{name.split('/')[1]}")

@@ -1,0 +1,254 @@
+"""Levenberg-Marquardt over a batch of networks: derivatives, minima, early stopping and decay."""
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+import torch
+from scipy.optimize import least_squares
+
+from learning.network import Layout, Network, count, initial_weights
+from learning.training import Problem, _normal_equations, levenberg_marquardt
+
+
+def network(layout: Layout, weights: torch.Tensor, x: torch.Tensor) -> torch.Tensor:
+    """The network of one input vector, written with nothing but torch's own functions."""
+    parts, start = [], 0
+    for n_in, n_out in ((layout.sizes[0], layout.sizes[1]), layout.sizes[1:3], layout.sizes[2:]):
+        w = weights[start : start + n_in * n_out].view(n_out, n_in)
+        b = weights[start + n_in * n_out : start + (n_in + 1) * n_out]
+        parts.append((w, b))
+        start += (n_in + 1) * n_out
+    for w, b in parts[:2]:
+        x = torch.tanh(torch.nn.functional.linear(x, w, b))
+    return torch.nn.functional.linear(x, *parts[2])
+
+
+def problem(batch: int, n: int, n_in: int, n_out: int, m: int | None, seed: int = 0) -> Problem:
+    """Random tasks with row weights, some of them 0; m: rows of the gain, None for regression."""
+    random = np.random.default_rng(seed)
+    train = random.uniform(0.2, 2.0, (batch, n)) * (random.random((batch, n)) < 0.8)
+    offset = random.normal(size=(batch, n, n_out if m is None else m))
+    gain = None if m is None else random.normal(size=(batch, n, m, n_out))
+    return Problem(random.uniform(-1, 1, (batch, n, n_in)), offset, gain, train, (train == 0).astype(float))
+
+
+def random_start(layout: Layout, batch: int, seed: int = 0) -> np.ndarray:
+    return np.stack([initial_weights(layout, np.random.default_rng([seed, k])) for k in range(batch)])
+
+
+LAYOUTS = {"dense": Layout.dense(3, 4, 2), "joint-wise": Layout.joint_wise(3, 2, 2)}
+
+
+@pytest.mark.parametrize("rows", [None, 5], ids=["regression", "gain"])
+@pytest.mark.parametrize("name", LAYOUTS)
+def test_normal_equations(name, rows):
+    """J^T W e and J^T W J against J by torch's automatic differentiation (jacrev, mapped over poses and tasks)."""
+    layout = LAYOUTS[name]
+    task = problem(3, 7, layout.sizes[0], layout.sizes[3], rows)
+    start = random_start(layout, 3)
+    to = torch.from_numpy
+    x, offset, train, weights = to(task.x), to(task.offset), to(task.train), to(start)
+    gain = None if task.gain is None else to(task.gain)
+    active = to(np.flatnonzero(layout.mask))
+    gradient, normal = _normal_equations(weights, layout, x, offset, gain, train, active)
+
+    unit = torch.eye(layout.sizes[3], dtype=torch.float64).expand(3, 7, -1, -1) if gain is None else gain
+
+    def error(w, x, offset, gain):
+        return offset + gain @ network(layout, w, x)
+
+    over_poses = torch.vmap(torch.func.jacrev(error), (None, 0, 0, 0))
+    jacobian = torch.vmap(over_poses)(weights, x, offset, unit)[..., active]
+    errors = torch.vmap(torch.vmap(error, (None, 0, 0, 0)))(weights, x, offset, unit)
+    torch.testing.assert_close(
+        normal, torch.einsum("bn,bnmi,bnmj->bij", train, jacobian, jacobian), rtol=1e-10, atol=1e-11
+    )
+    torch.testing.assert_close(
+        gradient, torch.einsum("bn,bnmi,bnm->bi", train, jacobian, errors), rtol=1e-10, atol=1e-11
+    )
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_reaches_the_minimum_of_scipy(seed):
+    """The same problem by scipy's least_squares from the same start; a decay makes its minimum regular."""
+    layout = Layout.dense(1, 3, 1)
+    x = np.linspace(-1, 1, 30)[None, :, None]
+    y = 0.8 * np.sin(2 * x) + 0.3
+    start = random_start(layout, 1, seed)
+    task = Problem(x, -y, None, np.ones((1, 30)), np.zeros((1, 30)))
+    found = levenberg_marquardt(task, layout, start, iterations=500, patience=500, decay=np.array([0.1]))
+
+    def residuals(w: np.ndarray) -> np.ndarray:
+        at = Network(layout.sizes, w, np.zeros(1), np.ones(1), np.ones(1))
+        return np.concatenate([(at(x[0]) - y[0]).ravel(), np.sqrt(0.1) * (w - start[0])])
+
+    expected = least_squares(residuals, start[0], xtol=1e-15, ftol=1e-15, gtol=1e-12)
+    assert np.sum(residuals(found.weights[0]) ** 2) == pytest.approx(2 * expected.cost, rel=1e-6)
+    assert found.train_loss[0] == pytest.approx(2 * expected.cost / 30, rel=1e-6)
+
+
+def test_a_linear_problem_in_disguise():
+    """Inputs so small that tanh is linear, a gain, row weights: the error left against linear least squares'."""
+    random = np.random.default_rng(4)
+    layout = Layout.dense(2, 3, 2)
+    x = 1e-4 * random.uniform(-1, 1, (1, 50, 2))
+    gain, weight = random.normal(size=(1, 50, 3, 2)), random.uniform(0.5, 2, (1, 50))
+    offset = 1e-3 * random.normal(size=(1, 50, 3)) + gain[..., 0] * x[..., :1] * 0.1
+    found = levenberg_marquardt(
+        Problem(x, offset, gain, weight, np.zeros((1, 50))),
+        layout,
+        random_start(layout, 1),
+        iterations=300,
+        patience=300,
+    )
+    # y = A x + b: six unknowns
+    inputs = np.concatenate([1e4 * x[0], np.ones((50, 1))], axis=1)
+    root = np.sqrt(weight[0])[:, None]
+    system = np.einsum("nmk,nj->nmkj", gain[0], inputs).reshape(50, 3, 6) * root[..., None]
+    right = (offset[0] * root).reshape(150)
+    left = np.linalg.lstsq(system.reshape(150, 6), -right, rcond=None)[1][0]
+    assert found.train_loss[0] * weight.sum() == pytest.approx(left, rel=1e-4)
+
+
+def test_a_network_is_found_again():
+    """Outputs of a known network of the same size, from a start near by: the error falls to rounding."""
+    layout = Layout.dense(2, 3, 2)
+    true = random_start(layout, 1)
+    x = np.random.default_rng(1).uniform(-1, 1, (1, 60, 2))
+    y = Network(layout.sizes, true[0], np.zeros(2), np.ones(2), np.ones(2))(x[0])
+    start = true + 0.05 * np.random.default_rng(2).normal(size=true.shape)
+    task = Problem(x, -y[None], None, np.ones((1, 60)), np.zeros((1, 60)))
+    assert levenberg_marquardt(task, layout, start, iterations=100, patience=100).train_loss[0] < 1e-20
+
+
+def test_a_gain_is_trained_through():
+    """A network seen only through gains (two rows a pose, three outputs) against training on its outputs themselves."""
+    random = np.random.default_rng(3)
+    layout = Layout.dense(2, 4, 3)
+    x = random.uniform(-1, 1, (1, 200, 2))
+    y = np.stack([np.sin(x[..., 0]), x[..., 0] * x[..., 1], np.cos(x[..., 1])], axis=-1)
+    gain = random.normal(size=(1, 200, 2, 3))
+    offset = -(gain @ y[..., None])[..., 0]
+    task = Problem(x, offset, gain, np.ones((1, 200)), np.zeros((1, 200)))
+    found = levenberg_marquardt(task, layout, random_start(layout, 1), iterations=200, patience=200)
+    fitted = Network(layout.sizes, found.weights[0], np.zeros(2), np.ones(2), np.ones(3))(x[0])
+    assert np.sqrt(np.mean((fitted - y[0]) ** 2)) < 0.01
+
+
+def test_tasks_of_a_batch_know_nothing_of_each_other():
+    """Three tasks at once against one at a time: damping, stopping and data are each task's own."""
+    layout = Layout.dense(3, 4, 2)
+    task, start = problem(3, 40, 3, 2, None), random_start(layout, 3)
+    decay = np.array([0.1, 1.0, 10.0])
+    options = {"iterations": 15, "patience": 4}
+    together = levenberg_marquardt(task, layout, start, decay=decay, **options)
+    for k in range(3):
+        own = Problem(task.x[k : k + 1], task.offset[k : k + 1], None, task.train[k : k + 1], task.validate[k : k + 1])
+        alone = levenberg_marquardt(own, layout, start[k : k + 1], decay=decay[k : k + 1], **options)
+        np.testing.assert_allclose(together.weights[k], alone.weights[0], rtol=0, atol=1e-9)
+        assert together.validation_loss[k] == pytest.approx(alone.validation_loss[0], rel=1e-9)
+
+
+def test_rows_of_weight_zero_are_not_there():
+    """Against the problem without these rows, whatever nonsense stands in them."""
+    layout = Layout.dense(3, 4, 2)
+    task, start = problem(1, 40, 3, 2, None), random_start(layout, 1)
+    keep = task.train[0] > 0
+    spoiled = np.where(keep[None, :, None], task.offset, 1e3)
+    none = np.zeros((1, 40))
+    decay = np.array([1.0])
+    whole = Problem(task.x, spoiled, None, task.train, none)
+    part = Problem(task.x[:, keep], task.offset[:, keep], None, task.train[:, keep], none[:, keep])
+    one, other = (levenberg_marquardt(p, layout, start, iterations=10, decay=decay) for p in (whole, part))
+    np.testing.assert_allclose(one.weights, other.weights, rtol=0, atol=1e-9)
+
+
+def test_twice_the_same():
+    """Deterministic to the last bit."""
+    layout = Layout.dense(3, 6, 2)
+    one, other = (
+        levenberg_marquardt(problem(2, 50, 3, 2, None), layout, random_start(layout, 2), iterations=20) for _ in "ab"
+    )
+    np.testing.assert_array_equal(one.weights, other.weights)
+    np.testing.assert_array_equal(one.curve, other.curve)
+
+
+@pytest.fixture
+def overfitting() -> tuple[Layout, Problem, np.ndarray]:
+    """Two tasks of pure noise on a smooth line: few rows, many weights, so that validation gets worse in the end."""
+    random = np.random.default_rng(5)
+    layout = Layout.dense(1, 8, 1)
+    x = random.uniform(-1, 1, (2, 40, 1))
+    y = 0.5 * x + 0.3 * random.normal(size=x.shape)
+    held = np.zeros((2, 40))
+    held[:, 15:] = 1.0
+    return layout, Problem(x, -y, None, 1 - held, held), random_start(layout, 2)
+
+
+def test_early_stopping_returns_the_best_weights(overfitting):
+    """The validation loss, calculated here from the weights returned, against the least of the curve."""
+    layout, task, start = overfitting
+    found = levenberg_marquardt(task, layout, start, iterations=60, patience=6)
+    for k in range(2):
+        fitted = Network(layout.sizes, found.weights[k], np.zeros(1), np.ones(1), np.ones(1))
+        error = (fitted(task.x[k]) + task.offset[k])[:, 0]
+        first = (Network(layout.sizes, start[k], np.zeros(1), np.ones(1), np.ones(1))(task.x[k]) + task.offset[k])[:, 0]
+        curve = found.curve[:, 2 + k]
+        assert np.mean(error[15:] ** 2) == pytest.approx(found.validation_loss[k], rel=1e-12)
+        assert found.validation_loss[k] == pytest.approx(min(curve.min(), np.mean(first[15:] ** 2)), rel=1e-12)
+        assert found.train_loss[k] == pytest.approx(np.mean(error[:15] ** 2), rel=1e-12)
+        assert curve[-1] > 1.01 * curve.min()  # it did get worse
+
+
+def test_early_stopping_waits_for_its_patience(overfitting):
+    """It ends `patience` iterations after the last task's best, and before the limit."""
+    layout, task, start = overfitting
+    found = levenberg_marquardt(task, layout, start, iterations=200, patience=3)
+    best = found.curve[:, 2:].argmin(axis=0)
+    assert found.iterations == len(found.curve) < 200
+    assert found.iterations <= best.max() + 1 + 3
+
+
+def test_a_start_that_is_best_is_kept(overfitting):
+    """A network that knows the truth of the validation rows, trained on others' nonsense: it comes back unchanged."""
+    layout, task, _ = overfitting
+    start = random_start(layout, 2)
+    x = task.x
+    y = np.stack([Network(layout.sizes, w, np.zeros(1), np.ones(1), np.ones(1))(x[k]) for k, w in enumerate(start)])
+    y[:, :15] += 1.0
+    found = levenberg_marquardt(Problem(x, -y, None, task.train, task.validate), layout, start, iterations=20)
+    np.testing.assert_array_equal(found.weights, start)
+
+
+def test_decay_pulls_to_the_start(overfitting):
+    """The stronger, the nearer: and with an overwhelming one the weights stay."""
+    layout, task, start = overfitting
+    free = Problem(task.x, task.offset, None, task.train, np.zeros_like(task.validate))
+    moved = []
+    for decay in (0.01, 1.0, 100.0, 1e9):
+        found = levenberg_marquardt(free, layout, start, iterations=200, patience=200, decay=np.full(2, decay))
+        moved.append(np.linalg.norm(found.weights - start, axis=1).max())
+    assert all(later < earlier for earlier, later in pairwise(moved))
+    assert moved[-1] < 1e-6
+
+
+@pytest.mark.parametrize("rows", [None, 4], ids=["regression", "gain"])
+def test_masked_weights_stay_zero(rows):
+    """The joint-wise layout after training: what was not connected is not."""
+    layout = Layout.joint_wise(3, 2, 1)
+    task, start = problem(1, 40, 3, 3, rows), random_start(layout, 1)
+    found = levenberg_marquardt(task, layout, start, iterations=10)
+    assert np.all(found.weights[0][~layout.mask] == 0)
+    assert np.all(found.weights[0][layout.mask] != start[0][layout.mask])
+    assert count(layout.sizes) == len(layout.mask) > layout.mask.sum()
+
+
+@pytest.mark.parametrize("spoiled", ["x", "offset", "start"])
+def test_what_is_no_number_is_an_error(spoiled):
+    """A NaN at the start ends in FloatingPointError, not in weights."""
+    layout = Layout.dense(3, 4, 2)
+    task, start = problem(2, 10, 3, 2, None), random_start(layout, 2)
+    {"x": task.x, "offset": task.offset}.get(spoiled, start).flat[-1] = np.nan
+    with pytest.raises(FloatingPointError):
+        levenberg_marquardt(task, layout, start, iterations=3)
