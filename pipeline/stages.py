@@ -273,10 +273,12 @@ def compensate(
     scores, reached = [], {}
     for name, method in methods.items():  # a network that has seen few poses may have no answer for some
         tried = attempt(method, desired, chain, errors.actuators)
-        rows = np.flatnonzero(tried.good(chain, model.mechanism.workspace))
+        there = robot.close(tried.readings)
+        rows = np.flatnonzero(tried.good(chain, model.mechanism.workspace) & there.closed)
         reached[name] = len(rows)
         if len(rows):
-            scores.append(method_score(name, robot.pose(tried.readings[rows]), desired[rows], channels))
+            pose = robot.robot.measured(there.pose)
+            scores.append(method_score(name, pose[rows], desired[rows], channels))
     return Compensated(len(u), reached, tuple(scores))
 
 

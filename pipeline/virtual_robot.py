@@ -15,7 +15,7 @@ from identification.error_model import BuiltRobot, ErrorModel
 from identification.measurements import quaternions
 from pipeline.results import Truth
 from urdf.description import Sensor, Stream, VirtualErrors
-from urdf.kinematics import forward, passive_rates, tool_point_jacobian
+from urdf.kinematics import Closure, forward, passive_rates, tool_point_jacobian
 from urdf.rigid_motion import Motion, exp
 
 GRAVITY = 9.80665  # m/s^2
@@ -51,17 +51,23 @@ class VirtualRobot:
     def of(model: ErrorModel, truth: Truth) -> VirtualRobot:
         return VirtualRobot(model.robot(truth.p), truth, model.chain.home[model.chain.actuated])
 
-    def pose(self, readings: np.ndarray) -> Motion:
-        """The true poses (n) in the measurement frame at the actuators' readings (n, n_actuated)."""
+    def close(self, readings: np.ndarray) -> Closure:
+        """The true configurations at the actuators' readings (n, n_actuated), and whether the robot can be there."""
         chain, errors = self.robot.chain, self.truth.errors
         commanded = self.robot.actuators.joints(readings)
         if errors.screw:
             commanded = commanded + self._screw(commanded)
         closure = forward(chain, commanded)
-        if errors.elastic:
+        rows = np.flatnonzero(closure.closed)
+        if errors.elastic and len(rows):
             for _ in range(_SETTLING):
-                closure = forward(chain, commanded + self._deflection(closure.q), closure.q)
-        closure.require(lambda row: f"virtual robot: readings of row {row}")
+                loaded = forward(chain, commanded[rows] + self._deflection(closure.q[rows]), closure.q[rows])
+                closure = closure.replaced(rows, loaded)
+        return closure
+
+    def pose(self, readings: np.ndarray) -> Motion:
+        """The true poses (n) in the measurement frame at the actuators' readings (n, n_actuated)."""
+        closure = self.close(readings).require(lambda row: f"virtual robot: readings of row {row}")
         return self.robot.measured(closure.pose)
 
     def _screw(self, joints: np.ndarray) -> np.ndarray:

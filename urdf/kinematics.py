@@ -50,6 +50,17 @@ class Closure:
     closed: np.ndarray  # (n,) bool
     residual: np.ndarray  # (n,) the largest loop (and target) error left [m, rad]
 
+    def replaced(self, rows: np.ndarray, other: Closure) -> Closure:
+        """This closure with `other` in its rows (k,)."""
+        rotation = _placed(self.pose.rotation, rows, other.pose.rotation)
+        translation = _placed(self.pose.translation, rows, other.pose.translation)
+        return Closure(
+            _placed(self.q, rows, other.q),
+            Motion(rotation, translation),
+            _placed(self.closed, rows, other.closed),
+            _placed(self.residual, rows, other.residual),
+        )
+
     def require(self, what: Callable[[int], str]) -> Closure:
         """This closure, if every row is closed; else InputError that begins with what(row)."""
         if not self.closed.all():
@@ -58,6 +69,12 @@ class Closure:
                 f"{what(row)}: the loops can't be closed there (residual {self.residual[row]:.3g} m or rad)"
             )
         return self
+
+
+def _placed(array: np.ndarray, rows: np.ndarray, values: np.ndarray) -> np.ndarray:
+    array = array.copy()
+    array[rows] = values
+    return array
 
 
 def _times(batch: np.ndarray, constant: np.ndarray) -> np.ndarray:
@@ -243,12 +260,12 @@ def _solve(problem: _Problem, target: np.ndarray, home_target: np.ndarray, start
         todo = np.flatnonzero(~found.closed)
         if not len(todo):
             break
-        again = Closure(np.tile(chain.home, (len(todo), 1)), found.pose, found.closed, found.residual)
+        path = np.tile(chain.home, (len(todo), 1))
         for fraction in np.linspace(0, 1, steps + 1)[1:]:
             here = home_target + fraction * (target[todo] - home_target)
-            again = _newton(problem, again.q, here, branch)
-        found.q[todo], found.residual[todo], found.closed[todo] = again.q, again.residual, again.closed
-        found.pose.rotation[todo], found.pose.translation[todo] = again.pose.rotation, again.pose.translation
+            again = _newton(problem, path, here, branch)
+            path = again.q
+        found = found.replaced(todo, again)
     return found
 
 

@@ -348,7 +348,7 @@ def refused(answer, store: Path) -> None:
     assert "Traceback" not in answer.err
 
 
-@pytest.mark.parametrize("what", [".kincal", "artifacts", "tmp", "locks", "robots"])
+@pytest.mark.parametrize("what", [".kincal", "artifacts", "tmp", "locks"])
 def test_a_file_in_the_place_of_a_folder(cli, tmp_path, what):
     store = tmp_path / ".kincal"
     if what == ".kincal":
