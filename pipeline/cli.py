@@ -55,10 +55,14 @@ def run(
 
     Parameters
     ----------
-    robot: A shipped robot's name, or the path to a robot.toml.
-    until: The last stage to run.
-    force_from: Run this stage and all after it, cached or not.
-    json: The comparison as one JSON document on stdout.
+    robot
+        A shipped robot's name, or the path to a robot.toml.
+    until
+        The last stage to run.
+    force_from
+        Run this stage and all after it, cached or not.
+    json
+        The comparison as one JSON document on stdout.
     """
     session = _session(robot, common, force_from)
     if until != "report":
@@ -79,9 +83,12 @@ def compare(robot: str, *others: str, json: Json = False, common: Common | None 
 
     Parameters
     ----------
-    robot: A shipped robot's name, or the path to a robot.toml.
-    others: More robots.
-    json: One JSON document on stdout; a list where there are several robots.
+    robot
+        A shipped robot's name, or the path to a robot.toml.
+    others
+        More robots.
+    json
+        One JSON document on stdout; a list where there are several robots.
     """
     compared = [_session(name, common).until("evaluate")[0] for name in (robot, *others)]
     if json:
@@ -98,8 +105,10 @@ def inspect(robot: str, *, json: Json = False, common: Common | None = None) -> 
 
     Parameters
     ----------
-    robot: A shipped robot's name, or the path to a robot.toml.
-    json: One JSON document on stdout.
+    robot
+        A shipped robot's name, or the path to a robot.toml.
+    json
+        One JSON document on stdout.
     """
     from pipeline.tables import parameter_table, parameters_json
 
@@ -127,8 +136,10 @@ def status(robot: str, *, json: Json = False, common: Common | None = None) -> N
 
     Parameters
     ----------
-    robot: A shipped robot's name, or the path to a robot.toml.
-    json: One JSON document on stdout.
+    robot
+        A shipped robot's name, or the path to a robot.toml.
+    json
+        One JSON document on stdout.
     """
     rows = list(_session(robot, common).status())
     if json:
@@ -147,10 +158,14 @@ def predict(
 
     Parameters
     ----------
-    robot: A shipped robot's name, or the path to a robot.toml.
-    joints: A CSV or Parquet table with one column a joint, as in the measurement table.
-    method: One of the methods that `compare` lists.
-    json: One JSON document on stdout instead.
+    robot
+        A shipped robot's name, or the path to a robot.toml.
+    joints
+        A CSV or Parquet table with one column a joint, as in the measurement table.
+    method
+        One of the methods that `compare` lists.
+    json
+        One JSON document on stdout instead.
     """
     from pipeline.queries import predicted_table
 
@@ -165,10 +180,14 @@ def compensate(
 
     Parameters
     ----------
-    robot: A shipped robot's name, or the path to a robot.toml.
-    poses: A CSV or Parquet table of desired poses in the measurement frame: the columns of a measurement table.
-    method: One of the methods that `compare` lists.
-    json: One JSON document on stdout instead.
+    robot
+        A shipped robot's name, or the path to a robot.toml.
+    poses
+        A CSV or Parquet table of desired poses in the measurement frame: the columns of a measurement table.
+    method
+        One of the methods that `compare` lists.
+    json
+        One JSON document on stdout instead.
     """
     from pipeline.queries import compensated_table
 
@@ -190,12 +209,18 @@ def evaluate(
 
     Parameters
     ----------
-    robot: A shipped robot's name, or the path to a robot.toml.
-    data: The measurement table, CSV or Parquet.
-    columns: A TOML file with a column map of its own, as [measure.columns] has it.
-    register: First refit W alone: the instrument was set up anew.
-    rehome: First refit the actuator zeros: the robot was homed anew.
-    json: One JSON document on stdout.
+    robot
+        A shipped robot's name, or the path to a robot.toml.
+    data
+        The measurement table, CSV or Parquet.
+    columns
+        A TOML file with a column map of its own, as [measure.columns] has it.
+    register
+        First refit W alone: the instrument was set up anew.
+    rehome
+        First refit the actuator zeros: the robot was homed anew.
+    json
+        One JSON document on stdout.
     """
     from pipeline.queries import evaluated
 

@@ -182,11 +182,10 @@ def prior(model: Model, prior: Prior, actuator: dict[str, Actuator], seed: int) 
     """The poses of the source task: a uniform grid up to three axes, as in the paper; else evenly spread ones."""
     from identification.poses import planned
     from urdf.actuators import Actuators
-    from urdf.description import Plan as PlanOf
     from urdf.kinematics import inverse
 
     chain = model.chain()
-    u = planned(model.mechanism.workspace, chain.tool_axes, PlanOf(poses=prior.poses), seed)
+    u = planned(model.mechanism.workspace, chain.tool_axes, Plan(poses=prior.poses), seed)
     closure = inverse(chain, u).require(lambda row: f"prior: pose {row}")
     return SourceTask(Actuators.nominal(chain, actuator).readings(closure.q[:, chain.actuated]))
 
