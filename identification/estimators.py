@@ -62,12 +62,15 @@ def _best(found: list[Estimate], what: str) -> Estimate:
     return best
 
 
-def identify(model: ErrorModel, measured: Measurements, max_iterations: int = 300) -> Estimate:
+def identify(
+    model: ErrorModel, measured: Measurements, max_iterations: int = 300, registered: Estimate | None = None
+) -> Estimate:
     """All parameters, the manufacturing tolerances as priors; W and T have flat ones and start registered.
 
+    registered: what `register` found on the same measurements, where that is known.
     Raises InputError as `register` does, CalibrationError where the iteration does not converge.
     """
-    start = register(model, measured, max_iterations)
+    start = registered or register(model, measured, max_iterations)
     free = np.ones(len(model.parameters), dtype=bool)
     estimate = _minimise(model, measured, start.p, start.q, free, max_iterations, priors=True)
     if not estimate.success:

@@ -169,9 +169,10 @@ def identify(
     poses = to_measurements(filtered.table, chain.actuated_names, sensor)
     parts = () if measured.truth is not None else folds(len(poses), split, seed)
     test = held_out(len(poses), split, seed)
-    registered = register(errors, poses)
+    registered = register(errors, poses, identify.max_iterations)
+    whole = estimate(errors, poses, identify.max_iterations, registered)
     return Identified(
-        shipped=summarise(errors, poses, estimate(errors, poses, identify.max_iterations), registered),
+        shipped=summarise(errors, poses, whole, registered),
         registered=registered.p,
         held_out=_fit(errors, poses, test, identify),
         folds=tuple(_fit(errors, poses, part, identify) for part in parts),
@@ -354,7 +355,8 @@ def _fit(errors: ErrorModel, poses: Measurements, test: np.ndarray, settings: Id
     from identification.estimators import register
 
     train = poses[np.setdiff1d(np.arange(len(poses)), test)]
-    return Fit(test, register(errors, train).p, estimate(errors, train, settings.max_iterations).p)
+    registered = register(errors, train, settings.max_iterations)
+    return Fit(test, registered.p, estimate(errors, train, settings.max_iterations, registered).p)
 
 
 def _fresh(model: Model, errors: ErrorModel, truth, n: int, seed: int):
