@@ -9,13 +9,14 @@ instrument, `instrument`) and T (tool to target, `target`). Passive joints follo
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import lru_cache
 
 import casadi as ca
 import numpy as np
 
+from identification.compiled import PAYS, compiled
 from identification.measurements import Measurements
 from urdf.actuators import Actuators
 from urdf.closed_chain import BASE, ClosedChain
@@ -26,6 +27,9 @@ from urdf.rigid_motion import Motion, exp, right_jacobian
 
 _COORDINATES = ("x", "y", "z", "rx", "ry", "rz")
 FRAMES = ("instrument", "target")  # W and T
+_CHUNK = 1000  # poses differentiated at once
+
+Weigh = Callable[[np.ndarray], np.ndarray]
 
 
 @dataclass(frozen=True)
@@ -69,11 +73,16 @@ class BuiltRobot:
 
 @dataclass(frozen=True)
 class Linearisation:
-    """Whitened residuals (rows,) and their Jacobian (rows, n_parameters) at one parameter vector."""
+    """Whitened residuals at one parameter vector, and how they change: |J s + r| = |triangle (s, 1)| for every step s.
 
-    residual: np.ndarray
-    jacobian: np.ndarray
+    The triangle of a QR factorisation is streamed over the poses: J itself, (n rows, n_parameters), is never held, nor
+    are normal equations, which would square its condition number.
+    """
+
+    residual: np.ndarray  # (n, rows a pose)
+    triangle: np.ndarray  # (at most n_parameters + 1, n_parameters + 1) of (J, r), each row weighted
     q: np.ndarray  # (n, n_joints) the closed configurations
+    by_instrument: np.ndarray  # (n, rows a pose, 3): J's columns of W's translation, unweighted
 
 
 @dataclass(frozen=True)
@@ -106,17 +115,40 @@ class ErrorModel:
         """Whitened residuals, predicted less measured: (n, rows a pose)."""
         return self._function(measured, "residual")(robot, q, measured)[0]
 
-    def linearise(self, p: np.ndarray, measured: Measurements, start: np.ndarray | None = None) -> Linearisation | None:
+    def linearise(
+        self, p: np.ndarray, measured: Measurements, start: np.ndarray | None = None, weigh: Weigh | None = None
+    ) -> Linearisation | None:
         """Close the loops at p and differentiate through the closure; None where they can't be closed.
 
-        start: (n, n_joints) configurations near by.
+        start: (n, n_joints) configurations near by. weigh: residuals (n, rows a pose) -> weights of their squares.
         """
+        robot, triangle = self.robot(p), np.zeros((0, len(p) + 1))
+        residuals, configurations, columns = [], [], []
+        for rows in _chunks(len(measured)):
+            closure = robot.close(measured.readings[rows], None if start is None else start[rows])
+            if not closure.closed.all():
+                return None
+            residual, jacobian = self._derivatives(robot, p, closure.q, measured[rows], len(measured) >= PAYS)
+            block = np.concatenate([jacobian, residual[..., None]], axis=2)
+            if weigh is not None:
+                block *= np.sqrt(weigh(residual))[..., None]
+            stacked = np.concatenate([triangle, block.reshape(-1, len(p) + 1)])
+            triangle = np.asarray(np.linalg.qr(stacked, mode="r"))
+            residuals.append(residual)
+            configurations.append(closure.q)
+            columns.append(jacobian[:, :, -12:-9])
+        return Linearisation(
+            np.concatenate(residuals), triangle, np.concatenate(configurations), np.concatenate(columns)
+        )
+
+    def jacobian(
+        self, p: np.ndarray, measured: Measurements, q: np.ndarray | None = None, columns: slice = slice(None)
+    ) -> np.ndarray:
+        """(n, rows a pose, n_parameters): the whitened identification Jacobian at p; q: (n, n_joints) closed there."""
         robot = self.robot(p)
-        closure = robot.close(measured.readings, start)
-        if not closure.closed.all():
-            return None
-        residual, jacobian = self._derivatives(robot, p, closure.q, measured)
-        return Linearisation(residual.ravel(), jacobian.reshape(-1, len(p)), closure.q)
+        q = robot.close(measured.readings).q if q is None else q
+        parts = [self._derivatives(robot, p, q[k], measured[k])[1][:, :, columns] for k in _chunks(len(measured))]
+        return np.concatenate(parts)
 
     def pose_jacobian(self, p: np.ndarray, readings: np.ndarray, q: np.ndarray) -> np.ndarray:
         """(n, 6, n_parameters): d(rotation in the target frame [rad], position [m]) / dp of predicted poses."""
@@ -127,8 +159,11 @@ class ErrorModel:
                               orientation_std=ones, position_std=ones)  # fmt: skip
         return self._derivatives(robot, p, q, itself)[1]
 
-    def _derivatives(self, robot: BuiltRobot, p: np.ndarray, q: np.ndarray, measured: Measurements):
-        residual, r_q, r_x, phi_q, phi_x = self._function(measured, "derivatives")(robot, q, measured)
+    def _derivatives(
+        self, robot: BuiltRobot, p: np.ndarray, q: np.ndarray, measured: Measurements, many: bool = False
+    ) -> tuple[np.ndarray, np.ndarray]:
+        what = "compiled derivatives" if many else "derivatives"
+        residual, r_q, r_x, phi_q, phi_x = self._function(measured, what)(robot, q, measured)
         chain = self.chain
         if chain.n_equations:
             passive = chain.passive
@@ -157,8 +192,13 @@ class ErrorModel:
     def _function(self, measured: Measurements, what: str) -> _Batched:
         key = (measured.channels, what)
         if key not in self._functions:
-            self._functions[key] = _Batched(self.chain, measured.channels, what == "derivatives")
+            function = _symbolic(self.chain, measured.channels, what != "residual")
+            self._functions[key] = _Batched(compiled(function) if what == "compiled derivatives" else function)
         return self._functions[key]
+
+
+def _chunks(n: int) -> Iterator[slice]:
+    return (slice(k, min(k + _CHUNK, n)) for k in range(0, n, _CHUNK))
 
 
 def _kept(chain: ClosedChain) -> np.ndarray:
@@ -204,10 +244,9 @@ def _chain_rotations(r_x: np.ndarray, p: np.ndarray, split) -> np.ndarray:
 class _Batched:
     """One CasADi function for all poses: residuals, and on demand their derivatives, as dense arrays."""
 
-    def __init__(self, chain: ClosedChain, channels: tuple[str, ...], derivatives: bool) -> None:
-        self._function = _symbolic(chain, channels, derivatives)
+    def __init__(self, function: ca.Function) -> None:
+        self._function = function
         self._mapped = lru_cache(maxsize=4)(self._map)
-        self._channels = channels
 
     def _map(self, n: int) -> ca.Function:
         return self._function.map(f"poses{n}", "serial", n, [1], [])

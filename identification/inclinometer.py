@@ -8,6 +8,7 @@ as it knows nothing, a robust window tells (its median): a single sample never d
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -23,6 +24,7 @@ CHANNELS = ("roll", "pitch", "yaw")
 _SENSORS = ((0, 1), (2,))  # an inclinometer's roll and pitch, and a heading reference: each is gated by itself
 _DIFFUSE = 10.0  # one sigma of the state before the first sample [rad]
 _STUCK = 10  # samples: fewer may well be alike
+_MEDIAN = 0.67449  # of the absolute value of a standard normal variable
 
 
 @dataclass(frozen=True)
@@ -56,14 +58,25 @@ def read_stream(file: Path, measure: Measure) -> pd.DataFrame:
     return stream
 
 
+def _sample_sigma(sensor: Sensor, channel: str, stretches: Iterable[pd.DataFrame]) -> float:
+    """One sigma of a sample [rad]: as given, else from the median difference within poses, which outliers spare."""
+    kind = "yaw" if channel == "yaw" else "tilt"
+    if sensor.given(kind):
+        return sensor.sigma(kind)
+    differences = np.abs(np.concatenate([np.diff(part[channel].to_numpy(float)) for part in stretches]))
+    differences = differences[np.isfinite(differences)]
+    estimate = float(np.median(differences)) / (np.sqrt(2) * _MEDIAN) if len(differences) else 0.0
+    return estimate or sensor.sigma(kind)
+
+
 def filter_stream(stream: pd.DataFrame, poses: np.ndarray, sensor: Sensor, settings: Filter, what: str) -> pd.DataFrame:
     """One row a pose of `poses` (n,): roll, pitch, tilt_std [rad] (and yaw, yaw_std), used and gated samples.
 
     `what` names the stream in messages. Raises InputError for a pose without samples, and for a stuck channel.
     """
     channels = [c for c in CHANNELS if c in stream]
-    sigma = np.deg2rad([sensor.tilt_deg, sensor.tilt_deg, sensor.yaw_deg])[: len(channels)]
     grouped = dict(iter(stream.groupby("pose", sort=False)))
+    sigma = np.array([_sample_sigma(sensor, c, grouped.values()) for c in channels])
     rows = []
     for pose in poses:
         part = grouped.get(pose)

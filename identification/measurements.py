@@ -12,7 +12,7 @@ import pandas as pd
 
 from urdf.actuators import Actuators
 from urdf.closed_chain import ClosedChain
-from urdf.description import Column, Measure, Sensor, Tolerance, nearest
+from urdf.description import Channel, Column, Measure, Sensor, Tolerance, nearest
 from urdf.errors import InputError
 from urdf.rigid_motion import Motion, from_xyz_angles, from_zyx_angles
 
@@ -21,6 +21,7 @@ QUATERNION = ("qx", "qy", "qz", "qw")
 EULER = ("rx", "ry", "rz")  # intrinsic XYZ [rad], another way to give the orientation
 POSITION = ("x", "y", "z")
 TILT = ("roll", "pitch")
+ROWS = {"orientation": 3, "tilt": 2, "yaw": 1, "position": 3}  # residuals a pose, in this order
 _GROUPS = (QUATERNION, EULER, POSITION, TILT)
 _LENGTH_TOLERANCE = 5e-3  # of a quaternion: three printed decimals
 _ALLOWED = "qx, qy, qz, qw; rx, ry, rz; x, y, z; roll, pitch; yaw"
@@ -43,13 +44,33 @@ class Measurements:
     position_std: np.ndarray | None = None  # (n,) [m]
     tilt_std: np.ndarray | None = None  # (n,) [rad]
     yaw_std: np.ndarray | None = None  # (n,) [rad]
+    assumed: tuple[str, ...] = ()  # channels whose sigma nobody gave: a first guess, to be estimated
 
     def __len__(self) -> int:
         return len(self.readings)
 
     def __getitem__(self, rows) -> Measurements:
-        values = {k: v[rows] for k, v in self.__dict__.items() if v is not None}
+        values = {k: v[rows] for k, v in self.__dict__.items() if isinstance(v, np.ndarray)}
         return replace(self, **values)
+
+    def only(self, channels: Sequence[str]) -> Measurements:
+        """Without the other channels."""
+        gone = {name: None for c in self.channels if c not in channels for name in (c, f"{c}_std")}
+        return replace(self, **gone, assumed=tuple(c for c in self.assumed if c in channels))
+
+    def scaled(self, factors: Mapping[str, float]) -> Measurements:
+        """The same readings with the sigmas of some channels multiplied: no longer assumed."""
+        sigmas = {f"{c}_std": getattr(self, f"{c}_std") * f for c, f in factors.items()}
+        return replace(self, **sigmas, assumed=tuple(c for c in self.assumed if c not in factors))
+
+    @property
+    def rows_a_pose(self) -> int:
+        return sum(ROWS[c] for c in self.channels)
+
+    @property
+    def rows(self) -> int:
+        """All readings: the rows of the identification Jacobian."""
+        return len(self) * self.rows_a_pose
 
     def as_poses(self) -> Motion:
         """What was measured, as poses (n); what was not is the identity, and must not be scored."""
@@ -63,7 +84,13 @@ class Measurements:
     @property
     def channels(self) -> tuple[str, ...]:
         """What was measured, of orientation, tilt, yaw and position."""
-        return tuple(c for c in ("orientation", "tilt", "yaw", "position") if getattr(self, c) is not None)
+        return tuple(c for c in ROWS if getattr(self, c) is not None)
+
+
+def default_channels(tool_axes: tuple[int, ...]) -> tuple[Channel, ...]:
+    """All that can move: orientation where the robot turns its tool, position where it carries it."""
+    moving: dict[Channel, tuple[int, ...]] = {"orientation": (3, 4, 5), "position": (0, 1, 2)}
+    return tuple(channel for channel, axes in moving.items() if set(axes) & set(tool_axes))
 
 
 def read_table(file: Path, joints: Sequence[str], measure: Measure, measured: bool = True) -> pd.DataFrame:
@@ -179,23 +206,21 @@ def to_measurements(table: pd.DataFrame, joints: Sequence[str], sensor: Sensor) 
     """The canonical table as arrays; sigmas come from its *_std columns, else from [sensor]."""
     from scipy.spatial.transform import Rotation
 
-    def std(name: str, default: float) -> np.ndarray:
-        return table[name].to_numpy(float) if name in table else np.full(len(table), default)
-
     values: dict[str, np.ndarray] = {}
     if "qw" in table:
         values["orientation"] = Rotation.from_quat(table[list(QUATERNION)].to_numpy(float)).as_matrix()
-        values["orientation_std"] = std("orientation_std", np.deg2rad(sensor.orientation_deg))
     if "x" in table:
         values["position"] = table[list(POSITION)].to_numpy(float)
-        values["position_std"] = std("position_std", sensor.position_mm * 1e-3)
     if "roll" in table:
         values["tilt"] = table[list(TILT)].to_numpy(float)
-        values["tilt_std"] = std("tilt_std", np.deg2rad(sensor.tilt_deg))
     if "yaw" in table:
         values["yaw"] = table["yaw"].to_numpy(float)
-        values["yaw_std"] = std("yaw_std", np.deg2rad(sensor.yaw_deg))
-    return Measurements(table["pose"].to_numpy(), table[list(joints)].to_numpy(float), **values)
+    channels: tuple[Channel, ...] = tuple(values)  # pyright: ignore[reportAssignmentType]
+    for channel in channels:
+        name = f"{channel}_std"
+        values[name] = table[name].to_numpy(float) if name in table else np.full(len(table), sensor.sigma(channel))
+    assumed = tuple(c for c in channels if f"{c}_std" not in table and not sensor.given(c))
+    return Measurements(table["pose"].to_numpy(), table[list(joints)].to_numpy(float), **values, assumed=assumed)
 
 
 def to_table(joints: Sequence[str], readings: np.ndarray, measured: Mapping[str, np.ndarray]) -> pd.DataFrame:

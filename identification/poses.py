@@ -16,9 +16,11 @@ def planned(workspace: Workspace, axes: tuple[int, ...], plan: Plan, seed: int) 
     """Tool coordinates (n, 6): the uniform grid of the paper (150 poses: 5 x 5 x 6), or evenly spread random poses.
 
     Where n is no product of nearly equal counts, n poses are drawn from the smallest cubic grid that holds them, as in
-    the paper's study of n.
+    the paper's study of n. D-optimal poses need a model of the robot: see `d_optimal`.
     """
     layout = plan.layout or ("grid" if len(axes) <= _GRID_AXES else "random")
+    if layout == "d_optimal":
+        raise ValueError("planned: d_optimal poses come from identification.d_optimal")
     if layout == "random":
         return sample(workspace, axes, plan.poses, seed, even=True)
     counts = _factors(plan.poses, len(axes))
@@ -37,6 +39,41 @@ def _factors(n: int, k: int) -> list[int] | None:
         if side > 1 and side ** (k - larger) * (side + 1) ** larger == n:
             return [side] * (k - larger) + [side + 1] * larger
     return None
+
+
+def travel_order(joints: np.ndarray, home: np.ndarray) -> np.ndarray:
+    """(n,) an order of poses with joints (n, n_actuated) in which the machine travels little, from home (n_actuated,).
+
+    The nearest neighbour, then 2-opt. A move takes as long as its longest joint, each in units of its own range.
+    """
+    points = np.concatenate([home[None], joints])
+    points = points / np.maximum(np.ptp(points, axis=0), 1e-12)
+    apart = np.zeros((len(points), len(points)))
+    for column in points.T:
+        apart = np.maximum(apart, np.abs(column[:, None] - column))
+    route, left = [0], np.ones(len(points), dtype=bool)
+    left[0] = False
+    while left.any():
+        route.append(int(np.argmin(np.where(left, apart[route[-1]], np.inf))))
+        left[route[-1]] = False
+    return _untangled(np.array(route), apart)[1:] - 1
+
+
+def _untangled(route: np.ndarray, apart: np.ndarray) -> np.ndarray:
+    """2-opt of an open route: stretches are turned round as long as that makes it shorter."""
+    shorter = True
+    while shorter:
+        shorter = False
+        for i in range(len(route) - 2):
+            before, first, last = route[i], route[i + 1], route[i + 2 :]
+            after = np.append(route[i + 3 :], -1)  # behind the last pose the machine is free to stop
+            old = apart[before, first] + np.append(apart[last[:-1], after[:-1]], 0.0)
+            new = apart[before, last] + np.append(apart[first, after[:-1]], 0.0)
+            best = int(np.argmin(new - old))
+            if new[best] < old[best] - 1e-9:
+                route[i + 1 : i + 3 + best] = route[i + 1 : i + 3 + best][::-1].copy()
+                shorter = True
+    return route
 
 
 def held_out(n: int, split: Split, seed: int) -> np.ndarray:

@@ -43,7 +43,13 @@ def starts(tool: Motion, measured: Measurements) -> list[tuple[Motion, Motion]]:
     tool, measured = tool[rows], measured[rows]
     rotation = _orientation(measured)
     if rotation is not None:
-        pairs = [_kronecker(rotation, tool.rotation) or _alternate(rotation, tool.rotation)]
+        found = _kronecker(rotation, tool.rotation)
+        pairs = [found or _alternate(rotation, tool.rotation)]
+        if found is None and measured.position is not None:  # a tool that does not turn: its path tells W
+            pairs += [
+                (w, _procrustes(np.einsum("nji,kj,nkl->il", tool.rotation, w.T, rotation)))
+                for w, _ in _alternate_positions(measured.position, tool)
+            ]
     elif measured.tilt is not None:
         up = vertical_in_target(measured)
         pairs = [

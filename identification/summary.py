@@ -3,24 +3,44 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.special import chdtri
+from scipy.special import chdtr, chdtrc, chdtri
 
+from identification.collinearity import collinearity
+from identification.diagnosis import moved_far
 from identification.error_model import ErrorModel
 from identification.estimators import Estimate
 from identification.identifiability import identifiability
 from identification.identification import Identification, Outlier, ResidualSize
-from identification.measurements import Measurements
+from identification.measurements import ROWS, Measurements
+from identification.robust_loss import blocks
+from urdf.description import Identify
 
 _OUTLIER = 1e-5  # the probability that a good pose looks like one
-_ROWS = {"orientation": 3, "tilt": 2, "yaw": 1, "position": 3}
+_SURPRISE = 1e-6  # of a chi-square: less likely is a finding
 
 
-def summarise(model: ErrorModel, measured: Measurements, estimate: Estimate, registered: Estimate) -> Identification:
-    """An estimate from `measured`, its residuals and outliers; identifiability is that of the `registered` robot."""
-    parameters = model.parameters
-    seen = identifiability(registered.jacobian, parameters)
-    residual = estimate.residual.reshape(len(measured), -1)
+def summarise(
+    model: ErrorModel,
+    measured: Measurements,
+    estimate: Estimate,
+    registered: Estimate,
+    settings: Identify | None = None,
+) -> Identification:
+    """An estimate from `measured`, its residuals and outliers; identifiability is that of the `registered` robot.
+
+    Raises CalibrationError where a parameter moved by more than 12 tolerances.
+    """
+    settings, parameters = settings or Identify(), model.parameters
+    measured = measured.scaled(estimate.sigma_factors)
+    seen = identifiability(registered.triangle[:, :-1], parameters, measured.rows)
     size, by_channel = _residuals(model, measured, estimate)
+    outliers = _outliers(measured, by_channel)
+    # a robust loss leaves outliers in the residuals; that they are large says nothing of the others
+    counted = np.ones(len(measured), dtype=bool)
+    if settings.loss != "gaussian":
+        counted = ~np.isin(measured.pose, [o.pose for o in outliers])
+    chi_square = float(np.sum(estimate.residual[counted] ** 2))
+    freedom = float(counted.sum() * measured.rows_a_pose - estimate.effective)
     variance = np.where(estimate.unseen, np.inf, np.diag(estimate.covariance))
     return Identification(
         names=parameters.names,
@@ -28,47 +48,66 @@ def summarise(model: ErrorModel, measured: Measurements, estimate: Estimate, reg
         nominal=parameters.nominal,
         change=estimate.p,
         tolerance=parameters.tolerance,
+        data_share=estimate.resolution,
         std=np.sqrt(variance),
         covariance=estimate.covariance,
         observable_share=seen.observable_share,
         identifiable=seen.identifiable,
         singular_values=seen.singular_values,
         poses=measured.pose,
-        residual=residual,
+        residual=estimate.residual,
         rank=seen.rank,
         rank_tolerance=seen.tolerance,
+        rank_gap=seen.gap,
         condition_number=seen.condition_number,
         unobservable=seen.unobservable,
+        unobservable_basis=seen.basis,
+        collinearity=collinearity(registered.triangle, measured.rows, parameters),
         n_poses=len(measured),
         channels=measured.channels,
+        sensor_std={c: float(np.sqrt(np.mean(getattr(measured, f"{c}_std") ** 2))) for c in measured.channels},
+        sensor_estimated=dict(estimate.sigma_factors),
+        estimator=settings.estimator,
+        loss=settings.loss,
+        shrinkage=estimate.shrinkage,
         iterations=estimate.iterations,
         message=estimate.message,
-        chi_square=float(estimate.residual @ estimate.residual),
-        degrees_of_freedom=float(
-            len(estimate.residual) - np.sum(estimate.jacobian @ estimate.covariance * estimate.jacobian)
-        ),
+        chi_square=chi_square,
+        degrees_of_freedom=freedom,
         residual_size=size,
-        outliers=_outliers(measured, by_channel),
+        outliers=outliers,
+        findings=(*_verdict(chi_square, freedom), *moved_far(parameters, estimate.p)),
     )
+
+
+def _verdict(chi_square: float, freedom: float) -> tuple[str, ...]:
+    """What the chi-square says of the model and of the sensors' sigmas."""
+    if freedom < 1:
+        return (
+            "the readings are no more than the parameters they determine: residuals can't tell if the model is right",
+        )
+    larger = float(np.sqrt(chi_square / freedom))
+    if chdtrc(freedom, chi_square) < _SURPRISE:
+        return (f"geometry alone can't explain the measurements: residuals are {larger:.3g} times the sensors' sigmas",)
+    if chdtr(freedom, chi_square) < _SURPRISE:
+        return (f"the sensors are better than their sigmas say: residuals are {larger:.3g} times as large",)
+    return ()
 
 
 def _residuals(
     model: ErrorModel, measured: Measurements, estimate: Estimate
 ) -> tuple[ResidualSize, dict[str, np.ndarray]]:
     """Root mean squares, and each pose's error by channel [rad or m]."""
-    whitened = estimate.residual.reshape(len(measured), -1)
-    sizes, row = {}, 0
-    for channel, rows in _ROWS.items():
-        if channel in measured.channels:
-            sigma = getattr(measured, f"{channel}_std")
-            sizes[channel] = np.linalg.norm(whitened[:, row : row + rows], axis=1) * sigma
-            row += rows
+    sizes = {
+        channel: np.linalg.norm(estimate.residual[:, rows], axis=1) * getattr(measured, f"{channel}_std")
+        for channel, (rows, _) in zip(measured.channels, blocks(measured.channels), strict=True)
+    }
     n = len(model.actuators.gain)
     prismatic = model.chain.prismatic[model.chain.actuated]
     actuators = np.full((len(measured), n), np.nan)
-    if row >= n:  # the pose determines the actuators: which change of theirs explains the residual?
-        by_zero = estimate.jacobian[:, -12 - 2 * n : -12 - n].reshape(len(measured), -1, n)
-        actuators = -(np.linalg.pinv(by_zero) @ whitened[..., None])[..., 0]
+    if measured.rows_a_pose >= n:  # the pose determines the actuators: which change of theirs explains the residual?
+        by_zero = model.jacobian(estimate.p, measured, estimate.q, slice(-12 - 2 * n, -12 - n))
+        actuators = -(np.linalg.pinv(by_zero) @ estimate.residual[..., None])[..., 0]
     size = ResidualSize(
         orientation_deg=_rms(sizes.get("orientation"), 180 / np.pi),
         position_mm=_rms(sizes.get("position"), 1e3),
@@ -91,7 +130,7 @@ def _outliers(measured: Measurements, by_channel: dict[str, np.ndarray]) -> tupl
     found = []
     for channel, size in by_channel.items():
         factor, unit = (1e3, "mm") if channel == "position" else (180 / np.pi, "deg")
-        median, dimensions = float(np.median(size)), _ROWS[channel]
+        median, dimensions = float(np.median(size)), ROWS[channel]
         limit = np.sqrt(chdtri(dimensions, _OUTLIER) / chdtri(dimensions, 0.5))  # in medians
         for k in np.flatnonzero(size > limit * median):
             reason = f"{channel} is off by {factor * size[k]:.3g} {unit}, {size[k] / median:.1f} times the median"

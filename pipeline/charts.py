@@ -72,6 +72,10 @@ class Chart:
 
     def pose(self, y: np.ndarray, readings: np.ndarray) -> Motion:
         """Poses (n) in the measurement frame of outputs y: (n, n_out)."""
+        return self.posed(y, None if self.full else self.robot.close(readings).pose.rotation)
+
+    def posed(self, y: np.ndarray, modelled: np.ndarray | None) -> Motion:
+        """The same; modelled: the tool's orientations (n, 3, 3) by the model, needed where not all was measured."""
         u = np.zeros((len(y), 6))
         if self.full:
             u[:, 3:] = y[:, :3]
@@ -79,7 +83,7 @@ class Chart:
             u[:, :3] = y[:, -3:]
         tool = pose_at(self.robot.chain, u)
         if not self.full:
-            modelled = self.robot.close(readings).pose.rotation
+            assert modelled is not None
             tool = Motion(self._tilted(modelled, y[:, :2]) if self.tilt else modelled, tool.translation)
         return self.robot.measured(tool)
 

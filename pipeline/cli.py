@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import shlex
 import sys
 from collections.abc import Callable
@@ -26,6 +27,7 @@ app = App(
 # A fixed width: a pipe has none, and a terminal wraps a long line better than rich cuts a table.
 out = Console(highlight=False, width=300)
 err = Console(stderr=True, highlight=False)
+aside = Console(stderr=True, highlight=False, width=300)  # tables on stderr
 
 
 @Parameter(name="*")
@@ -100,34 +102,73 @@ def compare(robot: str, *others: str, json: Json = False, common: Common | None 
 
 
 @app.command
-def inspect(robot: str, *, json: Json = False, common: Common | None = None) -> None:
-    """Every parameter: nominal, identified, change, sigma; what could not be seen.
+def inspect(
+    robot: str,
+    *,
+    before: Annotated[bool, Parameter(negative=())] = False,
+    plot: Path | None = None,
+    json: Json = False,
+    common: Common | None = None,
+) -> None:
+    """Every parameter: nominal, identified, change, sigma; what could not be seen, and how sure the rest is.
 
     Parameters
     ----------
     robot
         A shipped robot's name, or the path to a robot.toml.
+    before
+        From the planned poses and the sensors alone, before anybody measures.
+    plot
+        Draw singular values, shares and changes into this .svg, .png or .pdf file.
     json
         One JSON document on stdout.
     """
-    from pipeline.tables import parameter_table, parameters_json
+    from pipeline.tables import foreseen_json, foreseen_table, parameter_table, parameters_json, summary_lines
 
     session = _session(robot, common)
-    found = session.until("identify")[0].shipped
-    name = session.robot.description.name
+    name, more, foresight = session.robot.description.name, {}, None
+    if before:
+        from pipeline.foresight import foresee
+
+        foresight = foresee(session)
+        found, more = foresight.identification, foresight.json()
+    else:
+        found = session.until("identify")[0].shipped
+    if plot is not None:
+        from pipeline.identification_figures import draw
+
+        draw(found, plot, before)
     if json:
-        _print_json(parameters_json(name, found))
+        _print_json(foreseen_json(name, found, more) if before else parameters_json(name, found))
         return
-    out.print(f"{name}: parameters identified from {found.n_poses} poses ({', '.join(found.channels)})", style="bold")
-    _show_table(parameter_table(found))
-    out.print(
-        f"rank {found.rank} of {len(found.names)} parameters, condition number {found.condition_number:.3g}; "
-        f"chi-square {found.chi_square:.4g} over {found.degrees_of_freedom:.1f} degrees of freedom"
-    )
-    out.print(f"{len(found.unobservable)} unobservable directions:")
-    for direction in found.unobservable:
-        out.print(Text(f"  {direction}"))
-    _show_outliers(found)
+    if foresight is not None:
+        out.print(Text(f"{name}: what {found.n_poses} planned poses will tell ({', '.join(found.channels)})", "bold"))
+        _show_table(foreseen_table(found))
+        lines = [*summary_lines(found), *foresight.lines()]
+    else:
+        poses = f"{found.n_poses} poses ({', '.join(found.channels)})"
+        out.print(Text(f"{name}: parameters identified from {poses} by {found.estimator}, {found.loss} loss", "bold"))
+        _show_table(parameter_table(found))
+        sigmas = "; ".join(f"{c} {_sigma(c, v)}" for c, v in found.sensor_std.items())
+        estimated = f" ({', '.join(found.sensor_estimated)} estimated from residuals)" if found.sensor_estimated else ""
+        lines = [
+            *summary_lines(found),
+            f"sensors, one sigma: {sigmas}{estimated}",
+            f"chi-square {found.chi_square:.4g} over {found.degrees_of_freedom:.1f} degrees of freedom; "
+            f"{found.message} after {found.iterations} iterations, shrinkage {found.shrinkage:.3g}",
+        ]
+    lines.append(f"{len(found.unobservable)} unobservable directions:")
+    lines += [f"  {direction}" for direction in found.unobservable]
+    lines += [f"finding: {finding}" for finding in found.findings]
+    lines += [f"outlier: pose {outlier.pose}: {outlier.reason}" for outlier in found.outliers]
+    for line in lines:
+        out.print(Text(line), soft_wrap=True)
+    if plot is not None:
+        out.print(Text(f"plot: {_short(plot.absolute())}"))
+
+
+def _sigma(channel: str, sigma: float) -> str:
+    return f"{1e3 * sigma:.3g} mm" if channel == "position" else f"{math.degrees(sigma):.3g} deg"
 
 
 @app.command
@@ -231,6 +272,120 @@ def evaluate(
         _show_comparison(compared)
 
 
+@app.command
+def export(
+    robot: str,
+    *,
+    format: Literal["urdf", "json"],
+    output: Path | None = None,
+    force: Annotated[bool, Parameter(negative=())] = False,
+    common: Common | None = None,
+) -> None:
+    """The calibrated robot for others, read back and checked against the identified model before it is handed out.
+
+    Parameters
+    ----------
+    robot
+        A shipped robot's name, or the path to a robot.toml.
+    format
+        urdf: a folder with robot.urdf, robot.toml and parameters.csv; json: one document.
+    output
+        The folder (default: NAME_calibrated), or the file of the document (default: stdout).
+    force
+        Write also where something stands that export has not made.
+    """
+    from pipeline.export import export_document, export_folder
+
+    session = _session(robot, common)
+    if format == "json":
+        exported = export_document(session, output, force)
+        if output is None:
+            _print_json(exported.document)
+            return
+    else:
+        exported = export_folder(session, output, force)
+    if exported.note:
+        err.print(Text(f"note: {exported.note}", style="yellow"), soft_wrap=True)
+    within = f"within {exported.position:.1e} m and {exported.rotation:.1e} rad at {exported.n_checked} readings"
+    out.print(Text(f"{exported.path}: predicts as the identified model does, {within}"), soft_wrap=True)
+    if exported.target:
+        out.print(Text(f"what is measured: the pose of link {exported.target!r} in link {exported.instrument!r}"))
+
+
+@app.command
+def plan(
+    robot: str,
+    *,
+    poses: int | None = None,
+    layout: Literal["d_optimal", "grid", "random"] | None = None,
+    accuracy: float | None = None,
+    accuracy_mm: float | None = None,
+    output: Path | None = None,
+    force: Annotated[bool, Parameter(negative=())] = False,
+    json: Json = False,
+    common: Common | None = None,
+) -> None:
+    """Which poses to measure: a CSV table for the operator on stdout, and on stderr what they will tell.
+
+    Parameters
+    ----------
+    robot
+        A shipped robot's name, or the path to a robot.toml.
+    poses
+        How many; default: as many as --accuracy needs, else plan.poses of robot.toml.
+    layout
+        Default: plan.layout of robot.toml, else d_optimal.
+    accuracy
+        Say how many poses each layout needs for this mean error [deg] of the identified model.
+    accuracy_mm
+        The same for the position [mm].
+    output
+        Write the table to this .csv or .parquet file instead.
+    force
+        Write it also where a file of this name stands.
+    json
+        One JSON document on stdout instead.
+    """
+    from pipeline.planning import Wanted, check_output, layout_table, needed_table, plan_json, plan_report, write_table
+
+    if output is not None:
+        check_output(output, force)
+    wanted = None if accuracy is None and accuracy_mm is None else Wanted(accuracy, accuracy_mm)
+    report = plan_report(_session(robot, common), layout, poses, wanted)
+    if output is not None:
+        write_table(report.table, output)
+    if json:
+        _print_json(plan_json(report))
+        return
+    channels = ", ".join(report.channels)
+    err.print(f"{report.robot}: {len(report.table)} poses, measured {channels}; as predicted:", style="bold")
+    _show_table(layout_table(report.scores), console=aside)
+    if wanted is not None:
+        err.print(f"poses for a predicted mean error of {wanted}:", style="bold")
+        _show_table(needed_table(report), console=aside)
+    if output is None:
+        _print_table(report.table, False)
+
+
+@app.command
+def init(drawing: Path, *, output: Path | None = None) -> None:
+    """Propose a robot.toml for a URDF or an MJCF: loops, actuators and a workspace, with the reasons in comments.
+
+    Parameters
+    ----------
+    drawing
+        The URDF or MJCF file.
+    output
+        The file to write, which must not exist (default: robot.toml beside the drawing).
+    """
+    from urdf.proposed_toml import write_proposal
+
+    written = write_proposal(drawing, output)
+    for remark in written.remarks:
+        err.print(Text(f"note: {remark}", style="yellow"), soft_wrap=True)
+    out.print(Text(f"{_short(written.file)}: {written.summary}"), soft_wrap=True)
+
+
 def _session(robot: str, common: Common | None, force_from: str | None = None):
     from pipeline.artifacts import Store
     from pipeline.runner import Run, all_stages
@@ -301,18 +456,13 @@ def _show_comparison(compared) -> None:
             out.print(f"{name} has no command for {n} of the desired poses; its row is of the others")
 
 
-def _show_table(table, align: Literal["left", "right"] = "right") -> None:
+def _show_table(table, align: Literal["left", "right"] = "right", console: Console = out) -> None:
     shown = RichTable(box=None, pad_edge=False, header_style="bold")
     for k, column in enumerate(table.columns):
         shown.add_column(Text(column), justify="left" if k == 0 else align, no_wrap=True)
     for row in table.rows:
         shown.add_row(*(Text(cell) for cell in row))
-    out.print(shown)
-
-
-def _show_outliers(found) -> None:
-    for outlier in found.outliers:
-        out.print(f"outlier: pose {outlier.pose}: {outlier.reason}")
+    console.print(shown)
 
 
 def _print_table(table, as_json: bool) -> None:

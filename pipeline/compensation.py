@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from pipeline.goal import WHOLE
 from pipeline.methods import Method
 from urdf.actuators import Actuators
 from urdf.closed_chain import ClosedChain
@@ -21,7 +22,7 @@ class Attempt:
     """Readings (n, n_actuated) for desired poses (n), and what stands in the way of each."""
 
     readings: np.ndarray
-    reached: np.ndarray  # (n,) the method's own prediction is the desired pose
+    reached: np.ndarray  # (n,) the method's own prediction is the desired pose, as far as it can be
     closure: Closure  # of the nominal robot there
     condition: np.ndarray  # (n,) its condition numbers
 
@@ -31,21 +32,32 @@ class Attempt:
         return self.reached & self.closure.closed & inside & (self.condition <= workspace.max_condition)
 
 
-def attempt(method: Method, desired: Motion, chain: ClosedChain, actuators: Actuators) -> Attempt:
-    """The commands for desired poses (n) in the measurement frame; chain and actuators are the nominal ones."""
-    readings, reached = method.command(desired)
+def attempt(
+    method: Method, desired: Motion, chain: ClosedChain, actuators: Actuators, channels: tuple[str, ...] = WHOLE
+) -> Attempt:
+    """The commands for desired poses (n) in the measurement frame; chain and actuators are the nominal ones.
+
+    channels: the parts of the desired poses that are known, as in `Method.command`.
+    """
+    readings, reached = method.command(desired, channels)
     closure = forward(chain, actuators.joints(readings))
     return Attempt(readings, reached, closure, condition_numbers(chain, closure.q))
 
 
 def commands(
-    method: Method, desired: Motion, chain: ClosedChain, actuators: Actuators, workspace: Workspace, poses: np.ndarray
+    method: Method,
+    desired: Motion,
+    chain: ClosedChain,
+    actuators: Actuators,
+    workspace: Workspace,
+    poses: np.ndarray,
+    channels: tuple[str, ...] = WHOLE,
 ) -> np.ndarray:
     """Readings (n, n_actuated) that reach desired poses (n), numbered `poses` (n,).
 
     Raises InputError that names the first pose that can't be reached, breaks a joint limit or is near a singularity.
     """
-    tried = attempt(method, desired, chain, actuators)
+    tried = attempt(method, desired, chain, actuators, channels)
     _refuse(~tried.reached, poses, "can't be reached")
     _refuse(~tried.closure.closed, poses, "can't be reached: the loops don't close there")
     check_limits(chain, tried.closure.q, lambda row: f"pose {poses[row]}")

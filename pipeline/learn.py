@@ -91,13 +91,12 @@ def learned(
         iterations=settings.iterations,
         seed=seed,
     )
-    at = model.linearise(fit.identified, poses)
-    assert at is not None  # identification has closed these loops
-    rows = at.residual.reshape(len(poses), -1)
-    n = len(model.actuators.gain)
-    gain = at.jacobian[:, -12 - 2 * n : -12 - n].reshape(len(poses), -1, n)
+    q = model.robot(fit.identified).close(poses.readings).q  # identification has closed these loops
+    rows = model.residual(model.robot(fit.identified), q, poses)
+    jacobian, n = model.jacobian(fit.identified, poses, q), len(model.actuators.gain)
+    gain = jacobian[:, :, -12 - 2 * n : -12 - n]
     parts = folds(len(poses), split, seed)
-    unseen = np.stack([(left_out(model, at, fit.identified, part, len(poses))).reshape(rows.shape) for part in parts])
+    unseen = np.stack([left_out(model, fit.identified, jacobian, rows, part) for part in parts])
     correction = fit_correction(
         poses.readings,
         rows,

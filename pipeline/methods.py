@@ -12,13 +12,15 @@ from identification.error_model import BuiltRobot, ErrorModel
 from learning.network import Network
 from learning.residual import Correction
 from pipeline.charts import Chart
+from pipeline.goal import WHOLE, Goal
 from pipeline.results import Fit, Learned
-from urdf.kinematics import Closure, forward, inverse, tool_coordinates
+from urdf.kinematics import Closure, actuator_jacobian, forward, tool_coordinates
 from urdf.rigid_motion import Motion, wrap
 
 METHODS = ("nominal", "geometric", "network", "transfer", "transfer_identified", "hybrid")  # in the table's order
 _ITERATIONS = 30
 _REACHED = 1e-9  # of a tool coordinate or a joint [m, rad]
+_SETTLED = 1e-11  # of a network's input, of its range
 
 
 class Method(Protocol):
@@ -26,8 +28,13 @@ class Method(Protocol):
         """Poses (n) in the measurement frame at readings (n, n_actuated)."""
         ...
 
-    def command(self, desired: Motion) -> tuple[np.ndarray, np.ndarray]:
-        """Readings (n, n_actuated) that reach desired poses (n) in the measurement frame, and which rows do: (n,)."""
+    def command(self, desired: Motion, channels: tuple[str, ...] = WHOLE) -> tuple[np.ndarray, np.ndarray]:
+        """Readings (n, n_actuated) that reach desired poses (n) in the measurement frame, and which rows do: (n,).
+
+        channels: what of the desired poses was measured, and so can be met. A robot with fewer axes than six reaches
+        the desired tool pose's coordinates on its tool axes; the others, and what is not in `channels`, are as the
+        method predicts them there.
+        """
         ...
 
 
@@ -46,10 +53,9 @@ class ModelMethod:
         closure = self.close(readings).require(lambda row: f"row {row + 1}")
         return self.robot.measured(closure.pose)
 
-    def command(self, desired: Motion) -> tuple[np.ndarray, np.ndarray]:
+    def command(self, desired: Motion, channels: tuple[str, ...] = WHOLE) -> tuple[np.ndarray, np.ndarray]:
         chain, actuators = self.robot.chain, self.robot.actuators
-        u = tool_coordinates(chain, self.robot.instrument.inverse() @ desired @ self.robot.target.inverse())
-        found = inverse(chain, u)
+        found, met = Goal.of(self.robot, desired, channels).solve()
         wanted = found.q[:, chain.actuated]
         readings = actuators.readings(wanted)
         for _ in range(_ITERATIONS if self.correction else 0):
@@ -59,8 +65,9 @@ class ModelMethod:
                 break
         # There, and not on another assembly branch of the same actuators' values?
         closure, axes = self.close(readings), list(chain.tool_axes)
-        left = np.abs(wrap(tool_coordinates(chain, closure.pose) - u)[:, axes]).max(axis=1)
-        return readings, found.closed & closure.closed & (left < _REACHED)
+        apart = tool_coordinates(chain, closure.pose) - tool_coordinates(chain, found.pose)
+        left = np.abs(wrap(apart)[:, axes]).max(axis=1)
+        return readings, met & closure.closed & (left < _REACHED)
 
     def _delta(self, readings: np.ndarray) -> np.ndarray:
         return 0.0 * readings if self.correction is None else self.correction(readings)
@@ -76,29 +83,54 @@ class NetworkMethod:
     def predict(self, readings: np.ndarray) -> Motion:
         return self.chart.pose(self.network(readings), readings)
 
-    def command(self, desired: Motion) -> tuple[np.ndarray, np.ndarray]:
-        robot = self.chart.robot
-        readings, closed = ModelMethod(robot).command(desired)
-        wanted = self.chart.of_tool(robot.instrument.inverse() @ desired @ robot.target.inverse())
-        axes = _used(self.chart)
-        limit = 0.2 * self.network.input_scale
-        for _ in range(_ITERATIONS):  # Newton; of least norm where tilt leaves a freedom
-            error = (self.network(readings) - wanted)[:, axes]
-            step = (np.linalg.pinv(self.network.jacobian(readings)[:, axes]) @ error[..., None])[..., 0]
-            readings = readings - np.clip(step, -limit, limit)
-            if np.max(np.abs(step / self.network.input_scale), initial=0.0) < 1e-13:
+    def command(self, desired: Motion, channels: tuple[str, ...] = WHOLE) -> tuple[np.ndarray, np.ndarray]:
+        """Newton in the outputs, from the model's command; of least norm where the outputs leave a freedom."""
+        robot, axes, limit = self.chart.robot, _used(self.chart), 0.2 * self.network.input_scale
+        readings, closed = ModelMethod(robot).command(desired, channels)
+        goal = Goal.of(robot, desired, channels).seen_by(self.chart.channels)
+        q, left, going = robot.close(readings).q, np.full(len(readings), np.inf), np.flatnonzero(closed)
+        for _ in range(_ITERATIONS):
+            error, slope, there = self._linearised(goal[going], readings[going], q[going])
+            going, error, slope = going[there.closed], error[there.closed][:, axes], slope[there.closed][:, axes]
+            q[going] = there.q[there.closed]
+            inverse = np.linalg.pinv(slope)
+            step = (inverse @ error[..., None])[..., 0]
+            if len(axes) > readings.shape[1]:  # a hinge can't turn to every tilt: to the nearest
+                error = (slope @ step[..., None])[..., 0]
+            left[going] = np.abs(error).max(axis=1)
+            readings[going] -= np.clip(step, -limit, limit)
+            going = going[np.abs(step / self.network.input_scale).max(axis=1) > _SETTLED]
+            if not len(going):
                 break
-        left = np.abs((self.network(readings) - wanted)[:, axes]).max(axis=1)
-        return readings, closed & (left < _REACHED)
+        return readings, left < _REACHED
+
+    def _linearised(self, goal: Goal, readings: np.ndarray, q: np.ndarray) -> tuple[np.ndarray, np.ndarray, Closure]:
+        """Outputs less the goal's (n, n_out), the derivatives (n, n_out, n_actuated), and the model's closure there.
+
+        The goal is filled with the prediction, which moves with the readings as far as it is not asked for.
+        """
+        chart, robot = self.chart, self.chart.robot
+        y, slope = self.network(readings), self.network.jacobian(readings)
+        if goal.whole or (chart.tilt and not chart.moved):  # nothing that is filled in shows in the outputs
+            n = np.ones(len(q))
+            return y - chart.of_tool(goal.tool(goal.desired)), slope, Closure(q, goal.desired, n > 0, 0 * n)
+        there = robot.close(readings, q)
+        tool = goal.tool(chart.posed(y, there.pose.rotation))
+        by_actuators = np.linalg.pinv(np.nan_to_num(actuator_jacobian(robot.chain, there.q)))
+        rates = goal.rates(there.q) @ (by_actuators * robot.actuators.gain)
+        if chart.full:
+            slope[:, :3] -= rates[:, 3:]
+        if chart.moved:
+            slope[:, -3:] -= rates[:, :3]
+        return y - chart.of_tool(tool), slope, there
 
 
 def _used(chart: Chart) -> list[int]:
     """The outputs that the tool can be sent to: its degrees of freedom, where they were measured."""
-    if chart.tilt:
-        return list(range(chart.n_out))
-    names = (["rx", "ry", "rz"] if chart.full else []) + (["x", "y", "z"] if chart.moved else [])
+    names = ["rx", "ry", "rz"] * chart.full + ["tilt", "tilt"] * chart.tilt + ["x", "y", "z"] * chart.moved
     free = [("x", "y", "z", "rx", "ry", "rz")[a] for a in chart.robot.chain.tool_axes]
-    return [k for k, name in enumerate(names) if name in free]
+    turns = any(name.startswith("r") for name in free)
+    return [k for k, name in enumerate(names) if name in free or (name == "tilt" and turns)]
 
 
 def build(model: ErrorModel, fit: Fit, learned: Learned | None, channels: tuple[str, ...]) -> Mapping[str, Method]:

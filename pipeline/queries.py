@@ -13,6 +13,7 @@ from identification.error_model import ErrorModel
 from identification.measurements import check_readings, quaternions, read_table, to_measurements
 from pipeline.comparison import RAW, scores
 from pipeline.compensation import commands
+from pipeline.goal import Goal, parts
 from pipeline.methods import METHODS, Method, ModelMethod, build, uncalibrated
 from pipeline.refit import refitted
 from pipeline.results import Comparison, Identified, Learned
@@ -87,30 +88,38 @@ def compensated_table(session: Run, file: Path, method: str) -> pd.DataFrame:
     chosen = _method(build(model, identified.fits()[0], learned, channels), method)
     description = session.robot.description
     settings = description.measure.model_copy(update={"columns": {}})
-    desired, numbers = _desired(read_table(file, (), settings), model, identified, description, file)
-    readings = commands(chosen, desired, model.chain, model.actuators, description.workspace, numbers)
+    desired, known, numbers = _desired(read_table(file, (), settings), model, identified, description, file)
+    readings = commands(chosen, desired, model.chain, model.actuators, description.workspace, numbers, known)
     return pd.DataFrame({"pose": numbers, **dict(zip(model.chain.actuated_names, readings.T, strict=True))})
 
 
 def _desired(
     table: pd.DataFrame, model: ErrorModel, identified: Identified, description: RobotDescription, file: Path
-) -> tuple[Motion, np.ndarray]:
-    """Desired poses; what the tool can do and the file does not say stays as at home."""
+) -> tuple[Motion, tuple[str, ...], np.ndarray]:
+    """Desired poses, the parts of them that are known, and their numbers.
+
+    Known is what the file says of what was measured. Where that leaves the tool something to choose, the rest of what
+    was measured counts, too: there and in all else the file does not say, the poses are as at home.
+    """
     wanted = to_measurements(table, (), description.sensor)
     axes = model.chain.tool_axes
     if any(a < 3 for a in axes) and wanted.position is None:
         raise InputError(f"{file}: the tool moves along {[AXES[a] for a in axes if a < 3]}: x, y, z are needed")
     if any(a >= 3 for a in axes) and wanted.orientation is None and wanted.tilt is None:
         raise InputError(f"{file}: the tool turns: qx, qy, qz, qw or roll, pitch (and yaw) are needed")
-    pose = wanted.as_poses()
     robot = model.robot(identified.shipped.change)
     home = robot.measured(model.chain.home_pose)
-    if wanted.orientation is None and wanted.yaw is None:
+    pose = wanted.as_poses()
+    if wanted.orientation is None and wanted.tilt is None:
+        pose = Motion(np.broadcast_to(home.rotation, pose.rotation.shape), pose.translation)
+    elif wanted.orientation is None and wanted.yaw is None:
         yaw = np.full(len(wanted), np.arctan2(home.rotation[1, 0], home.rotation[0, 0]))
         pose = replace(wanted, yaw=yaw).as_poses()
     if wanted.position is None:
         pose = Motion(pose.rotation, np.broadcast_to(home.translation, pose.translation.shape))
-    return pose, wanted.pose
+    measured = identified.shipped.channels
+    known = tuple(sorted(parts(wanted.channels) & parts(measured)))
+    return pose, known if Goal.of(robot, pose, known).decided() else measured, wanted.pose
 
 
 def evaluated(session: Run, file: Path, columns: Path | None, *, register: bool, rehome: bool) -> Comparison:

@@ -10,6 +10,7 @@ from scipy.optimize import least_squares
 from identification.error_model import pose_residual
 from identification.measurements import Measurements
 from identification.registration import MIN_POSES, instrument_starts
+from pipeline.goal import WHOLE
 from pipeline.methods import Method
 from urdf.errors import CalibrationError, InputError
 from urdf.rigid_motion import Motion
@@ -26,8 +27,9 @@ class Moved:
     def predict(self, readings: np.ndarray) -> Motion:
         return self.instrument @ self.method.predict(readings + self.shift)
 
-    def command(self, desired: Motion) -> tuple[np.ndarray, np.ndarray]:
-        readings, reached = self.method.command(self.instrument.inverse() @ desired)
+    def command(self, desired: Motion, channels: tuple[str, ...] = WHOLE) -> tuple[np.ndarray, np.ndarray]:
+        """For tilt alone an instrument that stands tilted otherwise needs the desired heading, too: it is believed."""
+        readings, reached = self.method.command(self.instrument.inverse() @ desired, channels)
         return readings - self.shift, reached
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -12,12 +13,11 @@ from matplotlib import rc_context
 from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
 
+from identification.identification import Identification
 from pipeline.fingerprint import ROOT
+from pipeline.identification_figures import BLUE, GREY, RED, STYLE, changes, singular_values
 from pipeline.results import Comparison, Filtered, Identified, Learned, Model, Pretrained, Transferred
-from pipeline.tables import comparison_tables, parameter_table
-
-_STYLE: Any = {"svg.hashsalt": "kincal", "svg.fonttype": "none", "font.size": 9, "font.family": "sans-serif"}
-_BLUE, _RED, _GREY = "#1f5fa8", "#b3261e", "#767676"
+from pipeline.tables import collinear_lines, comparison_tables, parameter_table
 
 
 def page(
@@ -32,10 +32,11 @@ def page(
     environment = Environment(
         loader=FileSystemLoader(ROOT / "pipeline" / "templates"), autoescape=True, undefined=StrictUndefined
     )
-    with rc_context(_STYLE):
+    with rc_context(STYLE):
         figures: dict[str, Any] = {
             "methods": _methods(compared),
-            "singular_values": _singular_values(identified),
+            "singular_values": _drawn(singular_values, identified.shipped, 3.0),
+            "changes": _drawn(changes, identified.shipped, 3.0),
             "residuals": _residuals(identified),
             "training": _training(pretrained, transferred.fits[0]),
         }
@@ -50,6 +51,7 @@ def page(
         held_out=comparison_tables(compared.held_out),
         closed_loop=comparison_tables(compared.closed_loop),
         parameters=parameter_table(identified.shipped),
+        collinear=collinear_lines(identified.shipped),
         **figures,
     )
 
@@ -69,6 +71,12 @@ def _axes(width: float, height: float) -> tuple[Figure, Any]:
     return figure, axes
 
 
+def _drawn(draw: Callable[[Identification, Any], None], found: Identification, height: float) -> Markup:
+    figure = Figure(figsize=(9.0, height), layout="constrained")
+    draw(found, figure.add_subplot())
+    return _svg(figure)
+
+
 def _methods(compared: Comparison) -> Markup:
     in_degrees = compared.methods[0].mean_deg is not None
     key, unit = ("deg", "degrees") if in_degrees else ("mm", "mm")
@@ -76,26 +84,13 @@ def _methods(compared: Comparison) -> Markup:
     mean, largest = ([getattr(row, f"{what}_{key}") for row in rows] for what in ("mean", "max"))
     figure, axes = _axes(6.4, 0.9 + 0.36 * len(rows))
     places = np.arange(len(rows))
-    axes.barh(places, mean, height=0.55, color=_BLUE, label="mean")
-    axes.scatter(largest, places, color=_RED, marker="|", s=140, label="maximum")
+    axes.barh(places, mean, height=0.55, color=BLUE, label="mean")
+    axes.scatter(largest, places, color=RED, marker="|", s=140, label="maximum")
     axes.set_yticks(places, [row.name for row in rows])
     axes.invert_yaxis()
     axes.set_xscale("log")
     axes.set_xlabel(f"volumetric error [{unit}]")
     axes.legend(loc="lower right", frameon=False)
-    return _svg(figure)
-
-
-def _singular_values(identified: Identified) -> Markup:
-    shipped = identified.shipped
-    values = np.maximum(shipped.singular_values, shipped.singular_values[0] * 1e-18)
-    figure, axes = _axes(6.4, 3.0)
-    index = np.arange(1, len(values) + 1)
-    axes.semilogy(index[: shipped.rank], values[: shipped.rank], "o", ms=3, color=_BLUE, label=f"rank {shipped.rank}")
-    axes.semilogy(index[shipped.rank :], values[shipped.rank :], "o", ms=3, color=_GREY, label="unobservable")
-    axes.axhline(shipped.rank_tolerance, color=_RED, lw=1, label="tolerance")
-    axes.set_xlabel("singular value of the identification Jacobian")
-    axes.legend(frameon=False)
     return _svg(figure)
 
 
@@ -110,7 +105,7 @@ def _training(pretrained: Pretrained, learned: Learned) -> Markup:
         (right, "measured poses", learned.curve[:, :half], learned.curve[:, half:], names),
     )
     for axes, title, train, held, labels in curves:
-        for k, (name, colour) in enumerate(zip(labels, (_BLUE, _RED, _GREY), strict=False)):
+        for k, (name, colour) in enumerate(zip(labels, (BLUE, RED, GREY), strict=False)):
             axes.semilogy(train[:, k], color=colour, lw=1, label=name)
             axes.semilogy(held[:, k], color=colour, lw=1, ls="--")
         axes.set_title(title, fontsize=9)
@@ -127,10 +122,10 @@ def _residuals(identified: Identified) -> Markup:
     size = np.sqrt(np.mean(shipped.residual**2, axis=1))
     outliers = np.isin(shipped.poses, [o.pose for o in shipped.outliers])
     figure, axes = _axes(6.4, 2.8)
-    axes.vlines(shipped.poses, 0, size, color=_BLUE, lw=1)
+    axes.vlines(shipped.poses, 0, size, color=BLUE, lw=1)
     if outliers.any():
-        axes.plot(shipped.poses[outliers], size[outliers], "o", color=_RED, label="outlier")
-    axes.axhline(1, color=_GREY, lw=1, ls="--", label="one sigma of the sensor")
+        axes.plot(shipped.poses[outliers], size[outliers], "o", color=RED, label="outlier")
+    axes.axhline(1, color=GREY, lw=1, ls="--", label="one sigma of the sensor")
     axes.set_ylim(bottom=0)
     axes.set_xlabel("pose")
     axes.set_ylabel("residual [sigma]")

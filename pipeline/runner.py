@@ -20,6 +20,8 @@ from pipeline.fingerprint import Code
 from urdf.description import PATHS, Robot
 from urdf.errors import InputError
 
+_LONGEST = 100  # letters of a changed value that are shown
+
 
 @dataclass(frozen=True)
 class Stage:
@@ -226,11 +228,20 @@ def explain(last: Mapping[str, Any] | None, parts: Mapping[str, Any]) -> str:
         changed = [name for name in {**old, **new} if old.get(name) != new.get(name)]
         if changed:
             more = f" and {len(changed) - 1} more" if len(changed) > 1 else ""
-            detail = (
-                f" {old.get(changed[0])} -> {new.get(changed[0])}" if group in ("settings", "libraries") else " changed"
-            )
-            return f"{said} {changed[0]}{detail}{more}"
+            shown = group in ("settings", "libraries")
+            detail = _change(old.get(changed[0]), new.get(changed[0])) if shown else "changed"
+            return f"{said} {changed[0]} {detail}{more}"
     return "its artifact is gone or damaged"
+
+
+def _change(old: Any, new: Any) -> str:
+    """`old -> new`; of tables with names which ones, and of anything long only that it changed."""
+    tables = [part for value in (old, new) if isinstance(value, list) for part in value]
+    if tables and all(isinstance(part, Mapping) and "name" in part for part in tables):
+        names = dict.fromkeys(part["name"] for part in tables if part not in (old or []) or part not in (new or []))
+        return f"changed ({', '.join(map(repr, names)) or 'their order'})"
+    text = f"{old} -> {new}"
+    return text if len(text) <= _LONGEST else "changed"
 
 
 def _flat(value: Any, prefix: str = "") -> dict[str, Any]:

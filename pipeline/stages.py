@@ -30,6 +30,7 @@ from urdf.description import (
     Evaluate,
     Filter,
     Identify,
+    Instruments,
     Measure,
     Mechanism,
     Plan,
@@ -40,7 +41,6 @@ from urdf.description import (
     Tolerance,
     Transfer,
 )
-from urdf.errors import InputError
 
 if TYPE_CHECKING:
     import numpy as np
@@ -50,22 +50,12 @@ if TYPE_CHECKING:
 
 
 def model(mechanism: Mechanism, urdf: Path) -> Model:
-    """URDF and loop closures -> a checked closed chain with its home configuration."""
-    import numpy as np
+    """URDF or MJCF and loop closures -> a checked closed chain with its home configuration."""
+    from urdf.assembly import assembled
+    from urdf.drawing import read_text
 
-    from urdf.closed_chain import load_chain
-    from urdf.kinematics import at_home
-    from urdf.rigid_motion import Motion, from_xyz_angles
-    from urdf.workspace import check_workspace
-
-    text = _read(urdf)
-    chain = load_chain(mechanism, text, urdf)
-    workspace, home = mechanism.workspace, None
-    if workspace.home_mm is not None or workspace.home_rotation_deg is not None:
-        angles = np.deg2rad(workspace.home_rotation_deg or (0.0, 0.0, 0.0))
-        home = Motion(from_xyz_angles(angles), np.array(workspace.home_mm or (0.0, 0.0, 0.0)) * 1e-3)
-    chain = at_home(chain, home)
-    report = check_workspace(chain, workspace)
+    text = read_text(urdf)
+    chain, report = assembled(mechanism, text, urdf)
     return Model(
         mechanism=mechanism,
         urdf=Urdf(text),
@@ -79,8 +69,10 @@ def model(mechanism: Mechanism, urdf: Path) -> Model:
     )
 
 
-def plan(model: Model, plan: Plan, actuator: dict[str, Actuator], seed: int) -> PosePlan:
-    """Which poses to measure: the paper's uniform grid, or random poses."""
+def plan(
+    model: Model, plan: Plan, actuator: dict[str, Actuator], instruments: Instruments | None, seed: int
+) -> PosePlan:
+    """Which poses to measure: the paper's uniform grid, random poses, or D-optimal ones."""
     import pandas as pd
 
     from identification.poses import planned
@@ -89,7 +81,17 @@ def plan(model: Model, plan: Plan, actuator: dict[str, Actuator], seed: int) -> 
     from urdf.workspace import AXES, check_limits
 
     chain = model.chain()
-    u = planned(model.mechanism.workspace, chain.tool_axes, plan, seed)
+    if instruments is None:
+        u = planned(model.mechanism.workspace, chain.tool_axes, plan, seed)
+    else:
+        from identification.d_optimal import d_optimal
+        from identification.error_model import ErrorModel
+        from identification.expected import of_one_row
+
+        errors = ErrorModel.of(chain, actuator, instruments.tolerance)
+        channels, sensor = of_one_row(instruments, chain.tool_axes)
+        sites = d_optimal(errors, model.mechanism.workspace, channels, sensor, plan.poses, seed)
+        u = sites.in_travel_order(chain).u
     closure = inverse(chain, u).require(lambda row: f"plan: pose {row}")
     check_limits(chain, closure.q, lambda row: f"plan: pose {row}")
     readings = Actuators.nominal(chain, actuator).readings(closure.q[:, chain.actuated])
@@ -157,9 +159,9 @@ def identify(
     seed: int,
 ) -> Identified:
     """All geometric parameters from the measured poses; and from parts of them, to be scored on the rest."""
+    from identification.diagnosis import registered as register
     from identification.error_model import ErrorModel
     from identification.estimators import identify as estimate
-    from identification.estimators import register
     from identification.measurements import to_measurements
     from identification.poses import folds, held_out
     from identification.summary import summarise
@@ -170,9 +172,11 @@ def identify(
     parts = () if measured.truth is not None else folds(len(poses), split, seed)
     test = held_out(len(poses), split, seed)
     registered = register(errors, poses, identify.max_iterations)
-    whole = estimate(errors, poses, identify.max_iterations, registered)
+    whole = estimate(errors, poses, identify, registered)
+    shipped = summarise(errors, poses, whole, registered, identify)
+    poses = poses.scaled(shipped.sensor_estimated)
     return Identified(
-        shipped=summarise(errors, poses, whole, registered),
+        shipped=shipped,
         registered=registered.p,
         held_out=_fit(errors, poses, test, identify),
         folds=tuple(_fit(errors, poses, part, identify) for part in parts),
@@ -229,6 +233,7 @@ def transfer(
     chain = model.chain()
     errors = ErrorModel.of(chain, actuator, tolerance)
     poses = to_measurements(filtered.table, chain.actuated_names, sensor)
+    poses = poses.scaled(identified.shipped.sensor_estimated)
     starts = zip(identified.fits(), pretrained.nominal, pretrained.identified, strict=True)
     return Transferred(
         tuple(
@@ -250,6 +255,7 @@ def compensate(
 ) -> Compensated:
     """The closed loop: commands for desired poses by each method, and where the virtual robot then is.
 
+    Desired are poses that the robot as built can have, parasitic motion included: those of the nominal commands.
     Of a real robot nobody knows where it would be: its closed loop is measured, not computed.
     """
     if measured.truth is None:
@@ -261,18 +267,19 @@ def compensate(
     from pipeline.compensation import attempt
     from pipeline.methods import build
     from pipeline.virtual_robot import VirtualRobot
-    from urdf.kinematics import pose_at
+    from urdf.kinematics import inverse
 
     chain = model.chain()
     errors = ErrorModel.of(chain, actuator, tolerance)
     channels = identified.shipped.channels
     methods = build(errors, identified.fits()[0], transferred.fits[0], channels)
     u = _inner(model, evaluate.fresh_poses, seed)
-    desired = errors.robot(identified.registered).measured(pose_at(chain, u))
+    closure = inverse(chain, u).require(lambda row: f"compensate: desired pose {row}")
     robot = VirtualRobot.of(errors, measured.truth)
+    desired = robot.pose(errors.actuators.readings(closure.q[:, chain.actuated]))
     scores, reached = [], {}
     for name, method in methods.items():  # a network that has seen few poses may have no answer for some
-        tried = attempt(method, desired, chain, errors.actuators)
+        tried = attempt(method, desired, chain, errors.actuators, channels)
         there = robot.close(tried.readings)
         rows = np.flatnonzero(tried.good(chain, model.mechanism.workspace) & there.closed)
         reached[name] = len(rows)
@@ -356,7 +363,7 @@ def _fit(errors: ErrorModel, poses: Measurements, test: np.ndarray, settings: Id
 
     train = poses[np.setdiff1d(np.arange(len(poses)), test)]
     registered = register(errors, train, settings.max_iterations)
-    return Fit(test, registered.p, estimate(errors, train, settings.max_iterations, registered).p)
+    return Fit(test, registered.p, estimate(errors, train, settings, registered).p)
 
 
 def _fresh(model: Model, errors: ErrorModel, truth, n: int, seed: int):
@@ -376,25 +383,16 @@ def _fresh(model: Model, errors: ErrorModel, truth, n: int, seed: int):
 
 
 def _inner(model: Model, n: int, seed: int) -> np.ndarray:
-    """Tool coordinates of random desired poses, a little inside the workspace: commands differ from the nominal."""
+    """Tool coordinates of random poses, a little inside the workspace: commands differ from the nominal."""
     from urdf.workspace import sample
 
     return 0.98 * sample(model.mechanism.workspace, model.chain().tool_axes, n, [seed, 9])
 
 
-def _read(file: Path) -> str:
-    try:
-        return file.read_text(encoding="utf-8")
-    except UnicodeDecodeError:
-        raise InputError(f"{file}: not UTF-8 text") from None
-    except OSError as error:
-        raise InputError(f"{file}: can't be read: {error.strerror}") from None
-
-
 # In the order in which they run, with the libraries whose major.minor version is part of their result.
 STAGES = {
     model: ("numpy", "scipy", "pin"),
-    plan: ("numpy", "scipy", "pandas", "pyarrow"),
+    plan: ("numpy", "scipy", "casadi", "pandas", "pyarrow"),
     measure: ("numpy", "scipy", "pandas", "pyarrow"),
     filter: ("numpy", "filterpy", "pandas", "pyarrow"),
     identify: ("numpy", "scipy", "casadi"),

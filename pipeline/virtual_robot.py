@@ -12,6 +12,7 @@ import numpy as np
 import pandas as pd
 
 from identification.error_model import BuiltRobot, ErrorModel
+from identification.measurements import default_channels as default_channels
 from identification.measurements import quaternions
 from pipeline.results import Truth
 from urdf.description import Sensor, Stream, VirtualErrors
@@ -91,11 +92,6 @@ class VirtualRobot:
         return -errors.payload_kg * GRAVITY * height / stiffness
 
 
-def default_channels(tool_axes: tuple[int, ...]) -> tuple[str, ...]:
-    """All that can move: orientation where the robot turns its tool, position where it carries it."""
-    return tuple(c for c, axes in (("orientation", (3, 4, 5)), ("position", (0, 1, 2))) if set(axes) & set(tool_axes))
-
-
 def stream_of(pose: Motion, channels: tuple[str, ...], sensor: Sensor, stream: Stream, seed: int) -> pd.DataFrame:
     """Raw samples of an inclinometer (and a heading reference) on true poses (n): noise, outliers, dropouts."""
     random = np.random.default_rng([seed, 10])
@@ -109,7 +105,7 @@ def stream_of(pose: Motion, channels: tuple[str, ...], sensor: Sensor, stream: S
     outlier = {"tilt": random.random(count) < stream.outliers, "yaw": random.random(count) < stream.outliers}
     for name, values in true.items():
         kind = "yaw" if name == "yaw" else "tilt"
-        noise = np.deg2rad(sensor.yaw_deg if kind == "yaw" else sensor.tilt_deg) * random.normal(size=count)
+        noise = sensor.sigma("yaw" if kind == "yaw" else "tilt") * random.normal(size=count)
         wrong = np.deg2rad(stream.outlier_deg) * random.choice([-1.0, 1.0], count)
         columns[name] = values + noise + np.where(outlier[kind], wrong, 0.0)
     came = random.random(count) >= stream.dropouts
@@ -122,16 +118,16 @@ def measure(pose: Motion, channels: tuple[str, ...], sensor: Sensor, seed: int) 
     n = len(pose.translation)
     columns: dict[str, np.ndarray] = {}
     if "orientation" in channels:
-        noise = np.deg2rad(sensor.orientation_deg) * random.normal(size=(n, 3))
+        noise = sensor.sigma("orientation") * random.normal(size=(n, 3))
         columns |= dict(zip(("qx", "qy", "qz", "qw"), quaternions(pose.rotation @ exp(noise)).T, strict=True))
     if "position" in channels:
-        noise = sensor.position_mm * 1e-3 * random.normal(size=(n, 3))
+        noise = sensor.sigma("position") * random.normal(size=(n, 3))
         columns |= dict(zip("xyz", (pose.translation + noise).T, strict=True))
     r = pose.rotation
     if "tilt" in channels:
-        noise = np.deg2rad(sensor.tilt_deg) * random.normal(size=(n, 2))
+        noise = sensor.sigma("tilt") * random.normal(size=(n, 2))
         columns["roll"] = np.arctan2(r[:, 2, 1], r[:, 2, 2]) + noise[:, 0]
         columns["pitch"] = -np.arcsin(r[:, 2, 0]) + noise[:, 1]
     if "yaw" in channels:
-        columns["yaw"] = np.arctan2(r[:, 1, 0], r[:, 0, 0]) + np.deg2rad(sensor.yaw_deg) * random.normal(size=n)
+        columns["yaw"] = np.arctan2(r[:, 1, 0], r[:, 0, 0]) + sensor.sigma("yaw") * random.normal(size=n)
     return columns

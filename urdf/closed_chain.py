@@ -1,23 +1,19 @@
-"""URDF + loop closures -> ClosedChain: the pinocchio model, its constraint models, joint and frame indexes."""
+"""URDF or MJCF + loop closures -> ClosedChain: the pinocchio model, its constraint models, joint and frame indexes."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 import pinocchio as pin  # pyright: ignore[reportMissingImports] - a wheel without stubs
-from defusedxml import DefusedXmlException
-from defusedxml import ElementTree as SafeXml
 
 from urdf.description import Loop, Mechanism, Workspace, nearest
+from urdf.drawing import BASE, Drawing, DrawnLoop, parse
 from urdf.errors import InputError
+from urdf.mjcf import read_mjcf
 from urdf.rigid_motion import Motion
-
-JOINT_TYPES = ("revolute", "continuous", "prismatic", "fixed")
-MAX_JOINTS = 500
-BASE = -1  # the parent of a joint that hangs on the base
+from urdf.urdf_tree import read_urdf
 
 
 @dataclass(frozen=True)
@@ -60,6 +56,7 @@ class ClosedChain:
     tool_joint: int
     tool: Motion  # of the tool frame in its joint's frame
     tool_axes: tuple[int, ...]  # of (x, y, z, rx, ry, rz): the degrees of freedom that inverse kinematics solves
+    drawn: np.ndarray  # (n_joints,) the configuration that the file shows: 0 in a URDF, `ref` in an MJCF
     home: np.ndarray  # (n_joints,) a configuration that closes the loops (a first guess before `kinematics.at_home`)
     home_pose: Motion  # of the tool in the base frame: the origin of the tool coordinates
 
@@ -112,17 +109,24 @@ class ClosedChain:
         return model, constraints
 
 
-def load_chain(mechanism: Mechanism, urdf: str, file: Path) -> ClosedChain:
-    """The chain of a mechanism and the text of its URDF; `file` is where that text came from, for messages.
+def load_drawing(text: str, file: Path) -> Drawing:
+    """The text of a URDF or an MJCF as a drawing; `file` is where it came from, for messages."""
+    root = parse(text, file)
+    if root.tag == "mujoco":
+        return read_mjcf(root, file)
+    if root.tag != "robot":
+        raise InputError(f"{file}: the root element is <{root.tag}>; allowed are <robot> (URDF) and <mujoco> (MJCF)")
+    return read_urdf(root, text, file)
 
-    Its home is a first guess, the URDF's zero configuration moved into the joint limits: see `kinematics.at_home`.
-    Raises InputError for a URDF that is no tree, and for names that don't exist or are ambiguous.
+
+def load_chain(mechanism: Mechanism, text: str, file: Path) -> ClosedChain:
+    """The chain of a mechanism and the text of its URDF or MJCF; `file` is where that came from, for messages.
+
+    Its home is a first guess, the file's own configuration moved into the joint limits: see `kinematics.at_home`.
+    Raises InputError for a file that can't be read, and for names that don't exist or are ambiguous.
     """
-    _check_tree(urdf, file)
-    try:
-        model = pin.buildModelFromXML(urdf)
-    except (ValueError, RuntimeError) as error:
-        raise InputError(f"{file}: not a URDF that pinocchio can read: {_one_line(error)}") from None
+    drawing = load_drawing(text, file)
+    model = drawing.model
     names = tuple(model.names[1:])
     axes, prismatic = _axes(model)
     joint_index = {name: i for i, name in enumerate(names)}
@@ -136,12 +140,13 @@ def load_chain(mechanism: Mechanism, urdf: str, file: Path) -> ClosedChain:
         raise InputError(f"base_frame: {mechanism.base_frame!r} moves with joint {names[base[0]]!r}; allowed is fixed")
     tool = _frame(model, mechanism.tool_frame, "tool_frame", file)
     lower, upper = _limits(model)
+    drawn = drawing.configuration
     placements = [Motion(m.rotation.copy(), m.translation.copy()) for m in list(model.jointPlacements)[1:]]
     loops = []
-    for loop in mechanism.loop:
-        closure, placed = _closure(model, loop, len(placements), file)
-        placements += placed
-        loops.append(closure)
+    for loop in _loops(drawing, mechanism, file):
+        first = len(placements)
+        loops.append(LoopClosure(loop.name, loop.kind, loop.frames, loop.joints, (first, first + 1)))
+        placements += loop.placements
     return ClosedChain(
         model=model,
         joint_names=names,
@@ -158,9 +163,18 @@ def load_chain(mechanism: Mechanism, urdf: str, file: Path) -> ClosedChain:
         tool_joint=tool[0],
         tool=tool[1],
         tool_axes=_tool_axes(mechanism.workspace),
-        home=np.where((lower <= 0) & (upper >= 0), 0.0, 0.5 * (lower + upper)),
+        drawn=drawn,
+        home=_first_guess(drawn, lower, upper),
         home_pose=Motion.identity(),
     )
+
+
+def _first_guess(drawn: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
+    """The drawn configuration where the limits allow it; else their middle, or the one that is finite."""
+    nearest_allowed = np.clip(drawn, lower, upper)
+    bounded = np.isfinite(lower) & np.isfinite(upper)
+    middle = 0.5 * (np.where(bounded, lower, 0) + np.where(bounded, upper, 0))
+    return np.where(bounded & (nearest_allowed != drawn), middle, nearest_allowed)
 
 
 def _tool_axes(workspace: Workspace) -> tuple[int, ...]:
@@ -169,20 +183,30 @@ def _tool_axes(workspace: Workspace) -> tuple[int, ...]:
     )
 
 
-def _closure(model: pin.Model, loop: Loop, first: int, file: Path) -> tuple[LoopClosure, list[Motion]]:
+def _loops(drawing: Drawing, mechanism: Mechanism, file: Path) -> list[DrawnLoop]:
+    """The loops that the file closes, then those of robot.toml."""
+    loops = [*drawing.loops, *(_closure(drawing.model, loop, file) for loop in mechanism.loop)]
+    for k, loop in enumerate(loops):
+        if loop.name in {other.name for other in loops[:k]}:
+            raise InputError(f"loop {loop.name!r}: {file} closes a loop of that name itself; name it otherwise")
+        if loop.joints[0] == loop.joints[1]:
+            raise InputError(f"loop {loop.name!r}: both frames sit on one body; it closes nothing")
+    return loops
+
+
+def _closure(model: pin.Model, loop: Loop, file: Path) -> DrawnLoop:
     if loop.frames[0] == loop.frames[1]:
         raise InputError(f"loop {loop.name!r}: both frames are {loop.frames[0]!r}; allowed are two different ones")
-    ends = [_frame(model, frame, f"loop {loop.name!r}", file) for frame in loop.frames]
-    joints = (ends[0][0], ends[1][0])
-    if joints[0] == joints[1]:
-        raise InputError(f"loop {loop.name!r}: both frames sit on one body; it closes nothing")
-    return LoopClosure(loop.name, loop.kind, loop.frames, joints, (first, first + 1)), [ends[0][1], ends[1][1]]
+    first, second = (_frame(model, frame, f"loop {loop.name!r}", file) for frame in loop.frames)
+    return DrawnLoop(loop.name, loop.kind, loop.frames, (first[0], second[0]), (first[1], second[1]))
 
 
 def _frame(model: pin.Model, name: str, field: str, file: Path) -> tuple[int, Motion]:
     """The joint that carries a frame (BASE for none), and the frame's placement in that joint's frame."""
     found = [f for f in model.frames if f.name == name and f.type != pin.FrameType.JOINT]
-    if len(found) != 1:
+    if len(found) > 1:
+        raise InputError(f"{field}: {file} has {len(found)} frames called {name!r}; their names must differ")
+    if not found:
         legal = [f.name for f in model.frames if f.name != "universe"]
         raise InputError(f"{field}: frame {name!r} is not in {file}; {nearest(name, legal)}")
     placement = found[0].placement
@@ -209,93 +233,3 @@ def _limits(model: pin.Model) -> tuple[np.ndarray, np.ndarray]:
             lower[i] = model.lowerPositionLimit[joint.idx_q]
             upper[i] = model.upperPositionLimit[joint.idx_q]
     return lower, upper
-
-
-def _check_tree(urdf: str, file: Path) -> None:
-    """Refuse what pinocchio would accept without a word: loops, doubled names, joints it cannot turn."""
-    try:
-        root = SafeXml.fromstring(urdf, forbid_dtd=True)
-    except DefusedXmlException as error:
-        raise InputError(f"{file}: XML entities and document types are not allowed ({type(error).__name__})") from None
-    except (SafeXml.ParseError, ValueError) as error:
-        raise InputError(f"{file}: not well-formed XML: {error}") from None
-    if root.tag != "robot":
-        raise InputError(f"{file}: the root element is <{root.tag}>; allowed is <robot>")
-    links = [_attribute(link, "name", file, "link") for link in root.findall("link")]
-    joints = {}
-    for joint in root.findall("joint"):
-        name = _attribute(joint, "name", file, "joint")
-        if name in joints:
-            raise InputError(f"{file}: two joints are called {name!r}; their names must differ")
-        joints[name] = joint
-    if len(joints) > MAX_JOINTS:
-        raise InputError(f"{file}: {len(joints)} joints; allowed are {MAX_JOINTS}")
-    for name in links:
-        if links.count(name) > 1:
-            raise InputError(f"{file}: two links are called {name!r}; their names must differ")
-        if name in joints:
-            raise InputError(f"{file}: a link and a joint are both called {name!r}; frames would be ambiguous")
-    parent_of: dict[str, str] = {}
-    for name, joint in joints.items():
-        kind = joint.get("type")
-        if kind not in JOINT_TYPES:
-            raise InputError(f"{file}: joint {name!r} has type {kind!r}; allowed are {', '.join(JOINT_TYPES)}")
-        if joint.find("mimic") is not None:
-            raise InputError(f"{file}: joint {name!r} mimics another; describe the coupling as a loop")
-        ends = []
-        for end in ("parent", "child"):
-            element = joint.find(end)
-            link = "" if element is None else _attribute(element, "link", file, f"joint {name!r}: {end}")
-            if link not in links:
-                raise InputError(f"{file}: joint {name!r}: {end} link {link!r} does not exist; {nearest(link, links)}")
-            ends.append(link)
-        if ends[1] in parent_of:
-            raise InputError(
-                f"{file}: link {ends[1]!r} has two parents ({parent_of[ends[1]]!r} and {ends[0]!r}): a URDF must be a "
-                "tree; cut the loop there and close it with a [[loop]] in robot.toml"
-            )
-        parent_of[ends[1]] = ends[0]
-        _check_numbers(joint, name, file)
-    _check_connected(links, parent_of, file)
-
-
-def _check_connected(links: list[str], parent_of: Mapping[str, str], file: Path) -> None:
-    roots = [link for link in links if link not in parent_of]
-    if len(roots) != 1:
-        found = ", ".join(map(repr, roots[:4])) if roots else "none (the links form a ring)"
-        raise InputError(f"{file}: a URDF must be one tree with one root link; found {found}")
-    for link in links:
-        seen = {link}
-        while link in parent_of:
-            link = parent_of[link]
-            if link in seen:
-                raise InputError(f"{file}: link {link!r} is its own ancestor: a URDF must be a tree")
-            seen.add(link)
-
-
-def _check_numbers(joint, name: str, file: Path) -> None:
-    for tag, attributes in (("origin", ("xyz", "rpy")), ("axis", ("xyz",)), ("limit", ("lower", "upper"))):
-        element = joint.find(tag)
-        for attribute in attributes:
-            text = None if element is None else element.get(attribute)
-            if text is None:
-                continue
-            try:
-                values = [float(part) for part in text.split()]
-            except ValueError:
-                values = []
-            if len(values) != (1 if tag == "limit" else 3) or not np.all(np.isfinite(values)):
-                raise InputError(f"{file}: joint {name!r}: {tag} {attribute} is {text!r}; allowed are finite numbers")
-            if tag == "axis" and np.linalg.norm(values) < 1e-9:
-                raise InputError(f"{file}: joint {name!r}: the axis is zero; allowed is a direction")
-
-
-def _attribute(element, key: str, file: Path, what: str) -> str:
-    value = element.get(key)
-    if not value:
-        raise InputError(f"{file}: {what} without {key!r}")
-    return value
-
-
-def _one_line(error: Exception) -> str:
-    return " ".join(str(error).split())[:200]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import math
 import tomllib
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -26,6 +27,8 @@ NotNegative = Annotated[float, Field(ge=0)]
 File = Annotated[Path, Field(strict=False)]
 Unit = Literal["m", "mm", "rad", "deg", "rev", "1"]
 Channel = Literal["orientation", "position", "tilt", "yaw"]
+Layout = Literal["grid", "random", "d_optimal"]
+_USUAL_SIGMA: dict[str, float] = {"orientation": 0.0006, "position": 0.02, "tilt": 0.01, "yaw": 0.01}  # [deg, mm]
 
 
 class _Table(BaseModel):
@@ -83,12 +86,26 @@ class Tolerance(_Table):
 
 
 class Sensor(_Table):
-    """One sigma of one reading, where the data has no *_std column."""
+    """One sigma of one reading, where the data has no *_std column.
 
-    orientation_deg: Positive = 0.0006  # about each axis
-    position_mm: Positive = 0.02  # along each axis
-    tilt_deg: Positive = 0.01
-    yaw_deg: Positive = 0.01
+    Where neither says it, identification estimates it from its residuals; a virtual robot's sensor has a common one.
+    """
+
+    orientation_deg: Positive | None = None  # about each axis
+    position_mm: Positive | None = None  # along each axis
+    tilt_deg: Positive | None = None
+    yaw_deg: Positive | None = None
+
+    def given(self, channel: Channel) -> bool:
+        return self._value(channel) is not None
+
+    def sigma(self, channel: Channel) -> float:
+        """[rad] or, of a position, [m]; a first guess where it is not given."""
+        value, usual = self._value(channel), _USUAL_SIGMA[channel]
+        return (usual if value is None else value) * (1e-3 if channel == "position" else math.pi / 180)
+
+    def _value(self, channel: Channel) -> float | None:
+        return getattr(self, f"{channel}_mm" if channel == "position" else f"{channel}_deg")
 
 
 class Actuator(_Table):
@@ -111,8 +128,9 @@ class Split(_Table):
 
 class Plan(_Table):
     poses: Annotated[int, Field(ge=1, le=1_000_000)] = 150
-    # grid: uniform, as in the paper; random: scrambled Sobol points. Default: grid up to three axes, else random.
-    layout: Literal["grid", "random"] | None = None
+    # grid: uniform, as in the paper; random: scrambled Sobol points; d_optimal: those that tell most of the parameters.
+    # Default: grid up to three axes, else random.
+    layout: Layout | None = None
 
 
 class Column(_Table):
@@ -199,7 +217,20 @@ class Filter(_Table):
 
 
 class Identify(_Table):
+    """How the parameters are estimated."""
+
+    estimator: Literal["map", "least_squares", "ridge", "liu", "truncated_svd"] = "map"
+    loss: Literal["gaussian", "huber", "cauchy"] = "gaussian"
+    # the scale of the priors (map), ridge's k, Liu's d, how many directions truncated_svd keeps: a number, or how it
+    # is chosen. Default: 1 for map, generalised cross-validation for the others
+    shrinkage: NotNegative | Literal["gcv", "kfold"] | None = None
     max_iterations: Annotated[int, Field(ge=1, le=10_000)] = 300
+
+    @model_validator(mode="after")
+    def _scale(self) -> Identify:
+        if self.estimator == "map" and self.shrinkage == 0:
+            raise ValueError("shrinkage = 0: the scale of map's priors must be greater than 0")
+        return self
 
 
 class Prior(_Table):
@@ -243,6 +274,15 @@ class Mechanism(_Table):
         return self
 
 
+class Instruments(_Table):
+    """What D-optimal poses rest on beside the mechanism: what is measured how well, and what is known before."""
+
+    channels: tuple[Channel, ...] | None  # None: all that can move
+    sensor: Sensor
+    stream: Stream | None
+    tolerance: Tolerance
+
+
 class RobotDescription(Mechanism):
     name: Name
     urdf: File
@@ -266,6 +306,18 @@ class RobotDescription(Mechanism):
             if joint not in self.actuated:
                 raise ValueError(f"actuator.{joint}: no actuated joint; {nearest(joint, self.actuated)}")
         return self
+
+    @property
+    def instruments(self) -> Instruments | None:
+        """None where the layout of the plan does not depend on them."""
+        return self.planned_instruments if self.plan.layout == "d_optimal" else None
+
+    @property
+    def planned_instruments(self) -> Instruments:
+        measure = self.measure
+        return Instruments(
+            channels=measure.channels, sensor=self.sensor, stream=measure.stream, tolerance=self.tolerance
+        )
 
     @property
     def mechanism(self) -> Mechanism:

@@ -13,11 +13,13 @@ import numpy as np
 
 from urdf.closed_chain import BASE, ClosedChain, LoopClosure
 from urdf.errors import InputError
+from urdf.over_constrained import RANK_TOLERANCE, dependent, what_to_do
 from urdf.rigid_motion import Motion, cross, from_xyz_angles, skew, vee, wrap, xyz_angles, xyz_rates
 
 TOLERANCE = 1e-11  # of a closed loop and of a reached tool coordinate [m, rad]
 _ITERATIONS = 12
 _STEP = 0.6  # longest step of one joint in one Newton iteration [rad, m]
+_ROUNDING = 1e-4  # loops that stay open by less, and are not independent, were drawn with rounded numbers [m, rad]
 _CONTINUATION = (4, 16, 64)  # steps from home, tried in turn where the direct way fails
 
 
@@ -286,7 +288,7 @@ def _newton(problem: _Problem, q: np.ndarray, target: np.ndarray, branch: float)
         frames = tree(chain, q[active])
         error = problem.error(frames, target[active])
         jacobian = problem.jacobian(frames)
-        step = _linear_solve(jacobian, error)
+        step = _linear_solve(jacobian, error[..., None])[..., 0]
         longest = np.max(np.abs(step), axis=1)
         q[np.ix_(active, unknown)] -= step * np.minimum(1.0, _STEP / np.maximum(longest, 1e-300))[:, None]
         done = np.max(np.abs(error), axis=1) < 1e-7
@@ -301,28 +303,28 @@ def _newton(problem: _Problem, q: np.ndarray, target: np.ndarray, branch: float)
 
 def _linear_solve(matrix: np.ndarray, right: np.ndarray) -> np.ndarray:
     try:
-        return np.linalg.solve(matrix, right[..., None])[..., 0]
+        return np.linalg.solve(matrix, right)
     except np.linalg.LinAlgError:  # a row that is exactly singular would take the whole batch down
         finite = np.where(np.isfinite(matrix), matrix, 0.0)
-        return (np.linalg.pinv(finite, rcond=1e-9) @ np.where(np.isfinite(right), right, 0.0)[..., None])[..., 0]
+        return np.linalg.pinv(finite, rcond=1e-9) @ np.where(np.isfinite(right), right, 0.0)
 
 
-def at_home(chain: ClosedChain, pose: Motion | None, seed: int = 0) -> ClosedChain:
+def at_home(chain: ClosedChain, pose: Motion | None, seed: int = 0, attempts: int = 40) -> ClosedChain:
     """The chain with its home configuration and home pose set: the tool put at `pose`, the actuators free.
 
-    pose: in the base frame; None: the tool's pose at the URDF's zero configuration. Damped Gauss-Newton from the
-    chain's first guess, then from random configurations within the joint limits.
+    pose: in the base frame; None: the tool's pose in the configuration that the file shows. Damped Gauss-Newton from
+    the chain's first guess, then from random configurations within the joint limits.
     Raises InputError that names the loop that stays open.
     """
     if pose is None:
-        pose = tool_pose(chain, tree(chain, np.zeros((1, chain.n_joints))))[0]
+        pose = tool_pose(chain, tree(chain, chain.drawn[None]))[0]
     chain = replace(chain, home_pose=pose)
     problem = _Problem(chain, np.arange(chain.n_joints), chain.tool_axes)
     random = np.random.default_rng(seed)
     low = np.where(np.isfinite(chain.lower), chain.lower, -np.pi)
     high = np.where(np.isfinite(chain.upper), chain.upper, np.pi)
     best = (np.inf, chain.home)
-    for attempt in range(40):
+    for attempt in range(attempts):
         start = (
             chain.home
             if attempt == 0
@@ -373,7 +375,11 @@ def _why_no_home(problem: _Problem, q: np.ndarray) -> str:
         size = error[row : row + loop.rows].max()
         worst = max(worst, (f"loop {loop.name!r} ({loop.frames[0]} and {loop.frames[1]})", size), key=lambda w: w[1])
         row += loop.rows
-    return f"with the tool at home the loops can't be closed: {worst[0]} stays open by {worst[1]:.4g} m or rad"
+    why = f"with the tool at home the loops can't be closed: {worst[0]} stays open by {worst[1]:.4g} m or rad"
+    if worst[1] > _ROUNDING or not chain.n_equations:
+        return why
+    void = dependent(loop_jacobian(chain, tree(chain, q[None]))[0], max(RANK_TOLERANCE, 10 * worst[1]))
+    return f"{why}; {what_to_do(chain, void)}" if len(void) else why
 
 
 def passive_rates(chain: ClosedChain, q: np.ndarray) -> np.ndarray:
@@ -384,6 +390,15 @@ def passive_rates(chain: ClosedChain, q: np.ndarray) -> np.ndarray:
         jacobian = loop_jacobian(chain, tree(chain, q))
         rates[:, chain.passive] = -np.linalg.solve(jacobian[:, :, chain.passive], jacobian[:, :, chain.actuated])
     return rates
+
+
+def tool_rates(chain: ClosedChain, q: np.ndarray) -> np.ndarray:
+    """(n, 6, n_tool_axes): d(tool coordinates) / d(those on the chain's tool axes), the loops kept closed."""
+    problem = _Problem(chain, np.arange(chain.n_joints), chain.tool_axes)
+    frames = tree(chain, q)
+    right = np.zeros((len(q), chain.n_joints, len(chain.tool_axes)))
+    right[:, chain.n_equations :] = np.eye(len(chain.tool_axes))
+    return tool_jacobian(chain, frames) @ _linear_solve(problem.jacobian(frames), right)
 
 
 def tool_point_jacobian(chain: ClosedChain, q: np.ndarray, point: np.ndarray) -> np.ndarray:

@@ -123,6 +123,20 @@ def from_zyx_angles(angles: Array) -> Array:
     return Rotation.from_euler("ZYX", angles.reshape(-1, 3)).as_matrix().reshape(*angles.shape[:-1], 3, 3)
 
 
+def zyx_angles(rotation: Array) -> Array:
+    """Yaw, pitch, roll (..., 3) [rad] of rotation matrices (..., 3, 3): the inverse of `from_zyx_angles`.
+
+    Near pitch = +-90 degrees yaw and roll are what rounding makes of them, but the roll fits the yaw: the three give
+    the rotation back to machine precision everywhere.
+    """
+    r = rotation
+    yaw = np.arctan2(r[..., 1, 0], r[..., 0, 0])
+    s, c = np.sin(yaw), np.cos(yaw)
+    pitch = np.arctan2(-r[..., 2, 0], c * r[..., 0, 0] + s * r[..., 1, 0])
+    roll = np.arctan2(s * r[..., 0, 2] - c * r[..., 1, 2], c * r[..., 1, 1] - s * r[..., 0, 1])
+    return np.stack([yaw, pitch, roll], axis=-1)
+
+
 def xyz_rates(angles: Array) -> Array:
     """(..., 3, 3): B with d(angles) = B omega, omega the angular velocity in the frame before the three rotations."""
     a, b = angles[..., 0], angles[..., 1]

@@ -19,9 +19,9 @@ from urdf.kinematics import (
     tool_coordinates,
     tree,
 )
+from urdf.over_constrained import dependent, what_to_do
 
 AXES = ("x", "y", "z", "rx", "ry", "rz")  # of the tool coordinates
-RANK_TOLERANCE = 1e-9  # relative to the largest singular value; exact derivatives leave ten orders of magnitude
 _GRID_POINTS = 1500
 
 
@@ -75,15 +75,11 @@ def describe(u: np.ndarray, axes: tuple[int, ...]) -> str:
 
 def mobility(chain: ClosedChain) -> int:
     """Degrees of freedom at home: joints less the rank of the loop equations."""
-    jacobian = loop_jacobian(chain, tree(chain, chain.home[None]))[0]
-    return chain.n_joints - _rank(jacobian)
+    return chain.n_joints - (chain.n_equations - len(_void_at_home(chain)))
 
 
-def _rank(jacobian: np.ndarray) -> int:
-    if not jacobian.size:
-        return 0
-    singular = np.linalg.svd(jacobian, compute_uv=False)
-    return int(np.sum(singular > RANK_TOLERANCE * singular[0]))
+def _void_at_home(chain: ClosedChain) -> np.ndarray:
+    return dependent(loop_jacobian(chain, tree(chain, chain.home[None]))[0])
 
 
 def condition_numbers(chain: ClosedChain, q: np.ndarray) -> np.ndarray:
@@ -123,12 +119,9 @@ def _ratio(first: np.ndarray, second: np.ndarray) -> float:
 
 def check_workspace(chain: ClosedChain, workspace: Workspace) -> WorkspaceReport:
     """Refuse a robot that can't be calibrated in its workspace; the pose, joint or number is named (InputError)."""
-    free = mobility(chain)
-    if _rank_deficient(chain):
-        raise InputError(
-            f"loops: they impose {chain.n_equations} equations, {chain.n_joints - free} of them independent at home: "
-            "the mechanism is over-constrained (or singular there); use point loops, or cut another joint"
-        )
+    free, void = mobility(chain), _void_at_home(chain)
+    if len(void):
+        raise InputError(what_to_do(chain, void))
     for what, count in (("actuated joints", len(chain.actuated)), ("axes in [workspace]", len(chain.tool_axes))):
         if count != free:
             raise InputError(f"mobility: the mechanism has {free} degrees of freedom at home, but {count} {what}")
@@ -149,10 +142,6 @@ def check_workspace(chain: ClosedChain, workspace: Workspace) -> WorkspaceReport
             "as well; shrink the workspace"
         )
     return WorkspaceReport(free, worst, where, len(u))
-
-
-def _rank_deficient(chain: ClosedChain) -> bool:
-    return chain.n_equations > 0 and _rank(loop_jacobian(chain, tree(chain, chain.home[None]))[0]) < chain.n_equations
 
 
 def _require_reached(chain: ClosedChain, found: Closure, u: np.ndarray) -> None:

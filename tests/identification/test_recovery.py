@@ -10,6 +10,7 @@ from scipy.stats import chi2
 from identification.error_model import ErrorModel
 from identification.estimators import identify, register
 from identification.summary import summarise
+from urdf.description import Identify
 from urdf.errors import CalibrationError, InputError
 from urdf.rigid_motion import Motion
 
@@ -200,7 +201,7 @@ def test_identification_that_cannot_converge_says_so(robot):
         loaded.random_parameters(5), loaded.readings(30, 0), ("orientation", "position"), None, noise
     )
     with pytest.raises(CalibrationError, match="did not converge"):
-        identify(loaded.model, measured, max_iterations=1)
+        identify(loaded.model, measured, Identify(max_iterations=1))
 
 
 def test_tolerances_of_the_description_are_the_priors(robot):

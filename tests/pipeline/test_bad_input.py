@@ -1,6 +1,8 @@
 """Bad input is answered by one line on stderr and exit status 2; what was calculated before stays."""
 
 import re
+import shutil
+from pathlib import Path
 
 import pytest
 
@@ -84,6 +86,25 @@ def test_robot_urdf(cli, robot_folder, store, still_served, change, said):
     file.write_text(change(file.read_text()))
     refused(cli("run", robot_folder, "--store", store), *said)
     still_served(store)
+
+
+@pytest.mark.parametrize(
+    "old, new, said",
+    [
+        ("</worldbody>", "</wordlbody>", ["robot.xml", "not well-formed"]),
+        ("<worldbody>", '<include file="/etc/passwd"/><worldbody>', ["robot.xml", "<include>"]),
+        ('site1="leg1_tip"', 'site1="leg1_tpi"', ["'leg1'", "'leg1_tpi'", "'leg1_tip'"]),
+        ('anchor="0 0 0"', 'anchor="0 0 0" active="false"', ["'leg2'", "not active"]),
+        ('<connect name="leg1" site1="leg1_tip" site2="platform_joint1"/>', "", ["6 degrees of freedom", "3 actuated"]),
+    ],
+    ids=["malformed", "include", "no site", "inactive", "loop too few"],
+)
+def test_robot_mjcf(cli, tmp_path, old, new, said):
+    folder = Path(shutil.copytree(Path(__file__).parents[1] / "data" / "ups3_mjcf", tmp_path / "robot"))
+    text = (folder / "robot.xml").read_text()
+    assert old in text
+    (folder / "robot.xml").write_text(text.replace(old, new, 1))
+    refused(cli("run", folder), *said)
 
 
 @pytest.mark.parametrize("content", [b"\xff\xfe\x00", b"\x00\x01"])

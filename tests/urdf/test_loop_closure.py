@@ -24,7 +24,7 @@ from urdf.kinematics import (
 from urdf.rigid_motion import exp
 from urdf.workspace import bounds
 
-ROBOTS = ("ups3_s", "jugglebot", "ur10", "ups3_frame")
+ROBOTS = ("ups3_s", "jugglebot", "ur10", "ups3_frame", "linear_delta", "rps3")
 unit = st.lists(st.floats(0, 1), min_size=6, max_size=6)
 seeds = st.integers(0, 2**20)
 

@@ -62,8 +62,8 @@ URDF_REFUSALS = {
     "a document type": ([('<?xml version="1.0"?>', '<?xml version="1.0"?><!DOCTYPE robot>')], ["not allowed"]),
     "malformed XML": ([(LAST, "")], ["not well-formed"]),
     "another root element": (
-        [('<robot name="ups3_s">', "<mujoco>"), (LAST, "</mujoco>")],
-        ["<mujoco>", "<robot>"],
+        [('<robot name="ups3_s">', "<sdf>"), (LAST, "</sdf>")],
+        ["<sdf>", "<robot>", "<mujoco>"],
     ),
     "an axis of length zero": ([('<axis xyz="0 0 1"/>', '<axis xyz="0 0 0"/>')], ["leg1_slide", "axis"]),
     "an axis of two numbers": ([('<axis xyz="0 0 1"/>', '<axis xyz="0 1"/>')], ["leg1_slide", "axis"]),

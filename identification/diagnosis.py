@@ -1,0 +1,190 @@
+"""What is wrong with measurements that no robot near its drawing could have made, and what a refused fit suffers from.
+
+Registered to the nominal robot, residuals are compared with what the tolerances can do. Where they are far larger the
+usual mistakes are tried, one at a time: a wrong unit, another order of a quaternion, swapped columns, a turned sign.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from itertools import combinations
+
+import numpy as np
+
+from identification.error_model import ErrorModel, Parameters
+from identification.estimators import Estimate, register, registration_of
+from identification.identification import HUMAN
+from identification.measurements import Measurements, quaternions
+from identification.registration import MIN_POSES
+from identification.shrinkage import N_FRAMES, Linear, standardise
+from urdf.errors import CalibrationError, InputError
+from urdf.rigid_motion import Motion, log
+
+_EXCESS = 25.0  # mean square of residuals over what tolerances and noise explain: beyond, a mistake is looked for
+_BETTER = 10.0  # a mistake explains the residuals if they are so much smaller without it
+_ALIKE = 2.0  # mistakes whose residuals are within this factor explain them alike
+_LOOK = 60  # poses, and steps of a registration, that are enough to see a mistake
+_FEW_STEPS = 6
+_NOISE = 3.0  # poses that differ by less than so many sigmas excite nothing
+FLAGGED, REFUSED = 4.0, 12.0  # tolerances that a parameter may have moved by
+
+_Mistake = tuple[str, Callable[[Measurements], Measurements]]
+
+
+def registered(model: ErrorModel, measured: Measurements, max_iterations: int) -> Estimate:
+    """`register`, after a look at whether the measurements can be those of a robot near its drawing.
+
+    Raises InputError and CalibrationError as `register` does, with the likely cause where there is one, and InputError
+    for poses that excite nothing and for residuals that a mistake in the measurements explains.
+    """
+    _check_spread(model, measured)
+    few = measured[np.linspace(0, len(measured) - 1, min(len(measured), _LOOK)).astype(int)]
+    excess = _excess(model, few)
+    cause = likely_cause(model, few, excess) if excess > _EXCESS else ""
+    if cause and np.isfinite(excess):
+        raise InputError(
+            f"measurements: registered to the nominal robot they are off by {np.sqrt(excess):.3g} times what "
+            f"[tolerance] and [sensor] explain; likely cause: {cause}"
+        )
+    try:
+        return register(model, measured, max_iterations)
+    except (InputError, CalibrationError) as error:
+        raise type(error)(f"{error}{cause and '; likely cause: ' + cause}") from None
+
+
+def likely_cause(model: ErrorModel, measured: Measurements, excess: float) -> str:
+    """The mistakes without which the residuals are much smaller, where several explain them alike; else nothing."""
+    limit = min(excess / _BETTER, _EXCESS)
+    found = [(_excess(model, measured, change), cause) for cause, change in _mistakes(model, measured)]
+    least = min(size for size, _ in found)
+    if least < limit:
+        return ", or ".join(cause for size, cause in found if size < _ALIKE * least)
+    for channel in measured.channels:
+        others = tuple(c for c in measured.channels if c != channel)
+        if others not in ((), ("yaw",)) and _excess(model, measured, lambda m, c=others: m.only(c)) < limit:
+            return f"{channel} contradicts {' and '.join(others)}: without it the measurements agree with the drawing"
+    return ""
+
+
+def _check_spread(model: ErrorModel, measured: Measurements) -> None:
+    """Refuse poses that differ by nothing, or by no more than noise, and a sensor that shows the same everywhere."""
+    n = len(measured)
+    different = len(np.unique(measured.readings, axis=0))
+    if n >= MIN_POSES and different < MIN_POSES:
+        count = f"all {n} poses have the same joint values" if different == 1 else f"{n} poses, {different} different"
+        raise InputError(f"measurements: {count}: they excite nothing; at least {MIN_POSES} different ones are needed")
+    closure = model.robot(np.zeros(len(model.parameters))).close(measured.readings)
+    if not closure.closed.all():
+        return  # registration says which
+    turned = _turned(closure.pose.rotation)
+    moved = np.linalg.norm(np.ptp(closure.pose.translation, axis=0)) + turned
+    if all((moved if c == "position" else turned) < _NOISE * _sigma(measured, c) for c in measured.channels):
+        raise InputError(
+            f"measurements: the poses differ by {np.rad2deg(turned):.2g} deg and {1e3 * moved:.2g} mm, no more than "
+            "the sensors' noise: they excite nothing; measure poses all over the workspace"
+        )
+    for channel in measured.channels:
+        values, span = getattr(measured, channel), moved if channel == "position" else turned
+        if span > _NOISE * _sigma(measured, channel) and np.ptp(values.reshape(n, -1), axis=0).max() == 0.0:
+            raise InputError(f"measurements: {channel} is the same at every pose, though the robot moves: is it stuck?")
+
+
+def _sigma(measured: Measurements, channel: str) -> float:
+    return float(np.median(getattr(measured, f"{channel}_std")))
+
+
+def _turned(rotation: np.ndarray) -> float:
+    """The largest angle between the first of n orientations and another [rad]."""
+    return float(np.max(np.linalg.norm(log(rotation[0].T @ rotation), axis=1)))
+
+
+def _excess(model: ErrorModel, measured: Measurements, change: Callable | None = None) -> float:
+    """Mean square of registered residuals over the expectation of tolerances and noise; infinite where none exist."""
+    try:
+        measured = change(measured) if change else measured
+        found = registration_of(model, measured, _FEW_STEPS)
+    except (InputError, CalibrationError, np.linalg.LinAlgError):
+        return np.inf
+    data = standardise(Linear(found.at.triangle, measured.rows), model.parameters.tolerance[:-N_FRAMES])
+    return float(np.sum(found.at.residual**2) / (measured.rows + np.sum(data.s**2)))
+
+
+def _mistakes(model: ErrorModel, measured: Measurements) -> Iterator[_Mistake]:
+    if measured.position is not None:
+        yield "x, y, z are in millimetres, not metres (measure.columns gives a column's unit)", _times("position", 1e-3)
+        yield "x, y, z are a thousand times too small (measure.columns gives a column's unit)", _times("position", 1e3)
+    if measured.orientation is not None:
+        for order, how in (([1, 2, 3, 0], "w, x, y, z"), ([3, 2, 1, 0], "w, z, y, x")):
+            yield f"the columns qx, qy, qz, qw hold {how}", _reordered(order)
+        yield "the orientations are inverted (the instrument in the target's frame, or qw's sign)", _inverted
+    if measured.tilt is not None:
+        for how, matrix in (
+            ("pitch has the other sign (NMEA: positive bow up)", [[1, 0], [0, -1]]),
+            ("roll has the other sign", [[-1, 0], [0, 1]]),
+            ("roll and pitch are swapped", [[0, 1], [1, 0]]),
+        ):
+            yield how, lambda m, matrix=matrix: replace(m, tilt=m.tilt @ np.array(matrix, dtype=float))
+    if measured.yaw is not None:
+        yield "yaw has the other sign (a compass turns clockwise)", _times("yaw", -1.0)
+    for channel in ("tilt", "yaw"):
+        if channel in measured.channels:
+            yield f"{channel} is in degrees, not radians", _times(channel, np.pi / 180)
+    names = model.chain.actuated_names
+    for i, j in combinations(range(len(names)), 2):
+        yield f"the columns {names[i]} and {names[j]} are swapped", _swapped(i, j)
+
+
+def _times(channel: str, factor: float) -> Callable[[Measurements], Measurements]:
+    return lambda m: replace(m, **{channel: getattr(m, channel) * factor})
+
+
+def _reordered(order: list[int]) -> Callable[[Measurements], Measurements]:
+    from scipy.spatial.transform import Rotation
+
+    def change(m: Measurements) -> Measurements:
+        assert m.orientation is not None
+        return replace(m, orientation=Rotation.from_quat(quaternions(m.orientation)[:, order]).as_matrix())
+
+    return change
+
+
+def _inverted(m: Measurements) -> Measurements:
+    assert m.orientation is not None
+    return replace(m, orientation=Motion(m.orientation, np.zeros((len(m), 3))).inverse().rotation)
+
+
+def _swapped(i: int, j: int) -> Callable[[Measurements], Measurements]:
+    def change(m: Measurements) -> Measurements:
+        readings = m.readings.copy()
+        readings[:, [i, j]] = m.readings[:, [j, i]]
+        return replace(m, readings=readings)
+
+    return change
+
+
+def moved_far(parameters: Parameters, p: np.ndarray) -> tuple[str, ...]:
+    """What to say of parameters that moved by more than 4 tolerances; W and T, whose priors are flat, apart.
+
+    Raises CalibrationError for more than 12: such an estimate is refused.
+    """
+    moved = np.abs(p / parameters.tolerance)
+    order = [j for j in np.argsort(-moved) if moved[j] > FLAGGED]
+    said = []
+    for j in order:
+        unit, factor = HUMAN[parameters.units[j]]
+        size = f"{parameters.names[j]} moved by {moved[j]:.1f} tolerances ({p[j] * factor:+.4g} {unit})"
+        said.append(f"{size}: {_cause(parameters.names[j], parameters.units[j])}")
+    if order and moved[order[0]] > REFUSED:
+        raise CalibrationError(f"identification is refused: {said[0]}; allowed are {REFUSED:g} tolerances")
+    return tuple(said)
+
+
+def _cause(name: str, unit: str) -> str:
+    joint, _, what = name.rpartition(".")
+    if what == "zero":
+        return f"was it homed elsewhere than actuator.{joint}.zero says?"
+    if what == "gain":
+        return f"is actuator.{joint}.gain, or the reading's unit, right?"
+    key = "position_mm" if unit == "m" else "rotation_deg"
+    return f"is its place in the URDF that of the robot that was built, and tolerance.{key} no smaller than its errors?"

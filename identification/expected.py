@@ -1,0 +1,122 @@
+"""What poses would tell before they are measured: noise-free measurements, and the information in them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from identification.error_model import ErrorModel, Parameters
+from identification.measurements import Measurements, default_channels
+from identification.poses import travel_order
+from urdf.closed_chain import ClosedChain
+from urdf.description import Channel, Instruments, Sensor, Workspace
+from urdf.errors import InputError
+from urdf.kinematics import forward, inverse, tool_coordinates
+from urdf.workspace import condition_numbers
+
+FLAT = 0.1  # sigma that stands for W's and T's flat priors [m, rad]: a millionth of what one pose tells of them
+_SAME = 1e-6  # tool coordinates of one pose [m, rad]
+
+
+@dataclass(frozen=True)
+class Sites:
+    """Poses that the robot as drawn can take."""
+
+    u: np.ndarray  # (n, 6) tool coordinates
+    q: np.ndarray  # (n, n_joints) closed configurations
+    readings: np.ndarray  # (n, n_actuated)
+
+    def __len__(self) -> int:
+        return len(self.u)
+
+    def __getitem__(self, rows) -> Sites:
+        return Sites(self.u[rows], self.q[rows], self.readings[rows])
+
+    def in_travel_order(self, chain: ClosedChain) -> Sites:
+        """Ordered so that the machine travels little, from home."""
+        return self[travel_order(self.q[:, chain.actuated], chain.home[chain.actuated])]
+
+
+def feasible(model: ErrorModel, workspace: Workspace, u: np.ndarray) -> tuple[Sites, np.ndarray]:
+    """The poses among u (n, 6) that the robot can take, and which they are: (n,) bool.
+
+    Their loops close on home's branch, from the tool's side and from the actuators'; joints are within their limits;
+    the condition number is at most workspace.max_condition.
+    """
+    chain, axes = model.chain, list(model.chain.tool_axes)
+    closure = inverse(chain, u)
+    good = closure.closed & ((closure.q >= chain.lower - 1e-9) & (closure.q <= chain.upper + 1e-9)).all(axis=1)
+    rows = np.flatnonzero(good)
+    back = forward(chain, closure.q[rows][:, chain.actuated])
+    apart = np.abs(tool_coordinates(chain, back.pose) - tool_coordinates(chain, closure.pose[rows]))[:, axes]
+    regular = condition_numbers(chain, closure.q[rows]) <= workspace.max_condition
+    good[rows] = back.closed & (apart.max(axis=1, initial=0.0) < _SAME) & regular
+    q = closure.q[good]
+    return Sites(u[good], q, model.actuators.readings(q[:, chain.actuated])), good
+
+
+def all_feasible(model: ErrorModel, workspace: Workspace, u: np.ndarray, what: str) -> Sites:
+    """Poses u (n, 6) that must all be feasible; else InputError that begins with `what`."""
+    sites, good = feasible(model, workspace, u)
+    if not good.all():
+        raise InputError(f"{what}: pose {int(np.argmin(good))} can't be reached within limits, or is singular")
+    return sites
+
+
+def of_one_row(instruments: Instruments, tool_axes: tuple[int, ...]) -> tuple[tuple[Channel, ...], Sensor]:
+    """What is measured, and the sigmas of a table's row.
+
+    Where tilt and yaw come as streams, a row is the mean of a pose's samples.
+    """
+    channels, sensor = instruments.channels or default_channels(tool_axes), instruments.sensor
+    stream = instruments.stream
+    if stream is None or "tilt" not in channels:
+        return channels, sensor
+    samples = max(1.0, stream.rate_hz * stream.seconds * (1 - stream.dropouts) * (1 - stream.outliers))
+    tilt, yaw = (float(np.rad2deg(sensor.sigma(channel)) / np.sqrt(samples)) for channel in ("tilt", "yaw"))
+    return channels, sensor.model_copy(update={"tilt_deg": tilt, "yaw_deg": yaw})
+
+
+def expected(
+    model: ErrorModel,
+    p: np.ndarray,
+    readings: np.ndarray,
+    q: np.ndarray,
+    channels: tuple[Channel, ...],
+    sensor: Sensor,
+) -> Measurements:
+    """What instruments of `channels` with the sigmas of [sensor] see at these poses of the robot p, without noise.
+
+    readings: (n, n_actuated); q: (n, n_joints), closed there or near by.
+    """
+    robot = model.robot(p)
+    pose = robot.measured(robot.close(readings, q).pose)
+    r = pose.rotation
+    seen = {
+        "orientation": r,
+        "position": pose.translation,
+        "tilt": np.stack([np.arctan2(r[:, 2, 1], r[:, 2, 2]), -np.arcsin(np.clip(r[:, 2, 0], -1, 1))], axis=1),
+        "yaw": np.arctan2(r[:, 1, 0], r[:, 0, 0]),
+    }
+    n = len(readings)
+    return replace(
+        Measurements(np.arange(n), readings),
+        **{channel: seen[channel] for channel in channels},
+        **{f"{channel}_std": np.full(n, sensor.sigma(channel)) for channel in channels},
+    )
+
+
+def prior_sigma(parameters: Parameters) -> np.ndarray:
+    """(n_parameters,) the tolerances, and for W and T a sigma so wide that it decides nothing that is seen at all."""
+    return np.where(parameters.flat, FLAT, parameters.tolerance)
+
+
+def information(model: ErrorModel, sites: Sites, channels: tuple[Channel, ...], sensor: Sensor) -> np.ndarray:
+    """(n, rows a pose, n_parameters): whitened Jacobian J of planned poses, parameters in units of their prior's sigma.
+
+    I + sum J'J is then the information after these poses. Of the robot as drawn, with W = T = 1.
+    """
+    p = np.zeros(len(model.parameters))
+    measured = expected(model, p, sites.readings, sites.q, channels, sensor)
+    return model.jacobian(p, measured, sites.q) * prior_sigma(model.parameters)

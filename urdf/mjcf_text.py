@@ -1,0 +1,138 @@
+"""How the numbers of an MJCF are written: <compiler>, default classes, and five ways to write an orientation."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from urdf.description import nearest
+from urdf.errors import InputError
+from urdf.rigid_motion import Motion, exp
+
+_ORIENTATIONS = {"quat": 4, "axisangle": 4, "euler": 3, "xyaxes": 6, "zaxis": 3}
+
+Attributes = Mapping[str, str]
+Classes = dict[str, dict[str, dict[str, str]]]  # {class: {element: attributes}}
+
+
+@dataclass(frozen=True)
+class MjcfText:
+    """What <compiler> and <default> say of a file's numbers."""
+
+    file: Path
+    angle: float  # radians per unit
+    sequence: str  # of Euler angles
+    autolimits: bool
+    classes: Classes
+
+    @staticmethod
+    def of(root, file: Path) -> MjcfText:
+        settings: dict[str, str] = {}
+        for compiler in root.findall("compiler"):
+            settings |= compiler.attrib
+        allowed = {"angle": ("degree", "radian"), "coordinate": ("local",), "autolimits": ("true", "false")}
+        for key, values in allowed.items():
+            found = settings.get(key, values[0])
+            if found not in values:
+                raise InputError(f"{file}: compiler: {key} is {found!r}; allowed are {', '.join(values)}")
+        sequence = settings.get("eulerseq", "xyz")
+        if len(sequence) != 3 or set(sequence.lower()) - set("xyz"):
+            raise InputError(f"{file}: compiler: eulerseq is {sequence!r}; allowed are three of x, y, z, X, Y, Z")
+        radians = 1.0 if settings.get("angle") == "radian" else np.pi / 180
+        text = MjcfText(file, radians, sequence, settings.get("autolimits") != "false", {"main": {}})
+        for default in root.findall("default"):
+            text._add_class(default, "main")
+        return text
+
+    def _add_class(self, default, name: str) -> None:
+        """Read a class and those inside it; each starts as a copy of the one around it."""
+        own = self.classes[name]
+        for element in default:
+            if element.tag != "default":
+                own[element.tag] = _overlaid(own.get(element.tag, {}), element.attrib)
+        for inner in default.findall("default"):
+            inner_name = inner.get("class")
+            if not inner_name or inner_name in self.classes:
+                what = "a class without a name" if not inner_name else f"two classes are called {inner_name!r}"
+                raise InputError(f"{self.file}: default: {what}; every class needs a name of its own")
+            self.classes[inner_name] = {tag: dict(attributes) for tag, attributes in own.items()}
+            self._add_class(inner, inner_name)
+
+    def attributes(self, element, childclass: str = "main", tag: str | None = None) -> Attributes:
+        """An element's attributes, with those of its class where it says nothing."""
+        name = element.get("class", childclass)
+        if name not in self.classes:
+            raise InputError(f"{self.file}: default class {name!r} does not exist; {nearest(name, self.classes)}")
+        return _overlaid(self.classes[name].get(tag or element.tag, {}), element.attrib)
+
+    def numbers(self, attributes: Attributes, key: str, default: str, what: str) -> np.ndarray:
+        """As many finite numbers as the default has."""
+        text, n = attributes.get(key, default), len(default.split())
+        try:
+            values = np.array([float(part) for part in text.split()])
+        except ValueError:
+            values = np.zeros(0)
+        if len(values) != n or not np.all(np.isfinite(values)):
+            numbers = "one finite number" if n == 1 else f"{n} finite numbers"
+            raise InputError(f"{self.file}: {what}: {key} is {text!r}; allowed: {numbers}")
+        return values
+
+    def direction(self, attributes: Attributes, key: str, default: str, what: str) -> np.ndarray:
+        return self._normalised(self.numbers(attributes, key, default, what), key, what)
+
+    def _normalised(self, vector: np.ndarray, key: str, what: str) -> np.ndarray:
+        length = np.linalg.norm(vector)
+        if length < 1e-9:
+            raise InputError(f"{self.file}: {what}: {key} is zero; allowed is a direction")
+        return vector / length
+
+    def placement(self, attributes: Attributes, what: str) -> Motion:
+        """A pose in its parent: `pos` and one of five ways to write an orientation."""
+        given = [key for key in _ORIENTATIONS if key in attributes]
+        if len(given) > 1:
+            raise InputError(f"{self.file}: {what}: has {given[0]} and {given[1]}; allowed is one orientation")
+        rotation = self._orientation(attributes, given[0], what) if given else np.eye(3)
+        return Motion(rotation, self.numbers(attributes, "pos", "0 0 0", what))
+
+    def _orientation(self, attributes: Attributes, key: str, what: str) -> np.ndarray:
+        values = self.numbers(attributes, key, " ".join("0" * _ORIENTATIONS[key]), what)
+        if key == "quat":
+            return from_quaternion(self._normalised(values, key, what))
+        if key == "axisangle":
+            return exp(self._normalised(values[:3], key, what) * values[3] * self.angle)
+        if key == "xyaxes":
+            x = self._normalised(values[:3], key, what)
+            y = self._normalised(values[3:] - x * (x @ values[3:]), key, what)
+            return np.stack([x, y, np.cross(x, y)], axis=1)
+        if key == "zaxis":
+            z = self._normalised(values, key, what)
+            across = np.array([-z[1], z[0], 0.0])
+            sine = np.linalg.norm(across)
+            axis = across / sine if sine > 1e-10 else np.array([1.0, 0.0, 0.0])
+            return exp(axis * np.arctan2(sine, z[2]))
+        rotation = np.eye(3)
+        for letter, angle in zip(self.sequence, values * self.angle, strict=True):  # upper case: about fixed axes
+            turn = exp(angle * np.eye(3)["xyz".index(letter.lower())])
+            rotation = rotation @ turn if letter.islower() else turn @ rotation
+        return rotation
+
+
+def _overlaid(defaults: Attributes, own: Attributes) -> dict[str, str]:
+    """Own attributes over defaults; an orientation of one's own replaces one that is written another way."""
+    if any(key in own for key in _ORIENTATIONS):
+        defaults = {key: value for key, value in defaults.items() if key not in _ORIENTATIONS}
+    return {key: value for key, value in {**defaults, **own}.items() if key != "class"}
+
+
+def from_quaternion(wxyz: np.ndarray) -> np.ndarray:
+    w, x, y, z = wxyz
+    return np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+        ]
+    )

@@ -1,0 +1,111 @@
+"""A URDF, which must be one tree -> Drawing, by Pinocchio."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+import pinocchio as pin  # pyright: ignore[reportMissingImports] - a wheel without stubs
+
+from urdf.description import nearest
+from urdf.drawing import MAX_JOINTS, Drawing
+from urdf.errors import InputError
+
+JOINT_TYPES = ("revolute", "continuous", "prismatic", "fixed")
+
+
+def read_urdf(root, text: str, file: Path) -> Drawing:
+    """The drawing of a URDF, as text and as its root element; `file` is where it came from, for messages.
+
+    Raises InputError for a URDF that is no tree, and for what pinocchio can't read.
+    """
+    link = _check_tree(root, file)
+    try:
+        model = pin.buildModelFromXML(text)
+    except (ValueError, RuntimeError) as error:
+        raise InputError(f"{file}: not a URDF that pinocchio can read: {_one_line(error)}") from None
+    return Drawing(model, np.zeros(model.njoints - 1), link)
+
+
+def _check_tree(root, file: Path) -> str:
+    """The root link. Refuses what pinocchio would accept without a word: loops, doubled names, unknown joints."""
+    links = [_attribute(link, "name", file, "link") for link in root.findall("link")]
+    joints = {}
+    for joint in root.findall("joint"):
+        name = _attribute(joint, "name", file, "joint")
+        if name in joints:
+            raise InputError(f"{file}: two joints are called {name!r}; their names must differ")
+        joints[name] = joint
+    if len(joints) > MAX_JOINTS:
+        raise InputError(f"{file}: {len(joints)} joints; allowed are {MAX_JOINTS}")
+    for name in links:
+        if links.count(name) > 1:
+            raise InputError(f"{file}: two links are called {name!r}; their names must differ")
+        if name in joints:
+            raise InputError(f"{file}: a link and a joint are both called {name!r}; frames would be ambiguous")
+    parent_of: dict[str, str] = {}
+    for name, joint in joints.items():
+        kind = joint.get("type")
+        if kind not in JOINT_TYPES:
+            raise InputError(f"{file}: joint {name!r} has type {kind!r}; allowed are {', '.join(JOINT_TYPES)}")
+        if joint.find("mimic") is not None:
+            raise InputError(f"{file}: joint {name!r} mimics another; describe the coupling as a loop")
+        ends = []
+        for end in ("parent", "child"):
+            element = joint.find(end)
+            link = "" if element is None else _attribute(element, "link", file, f"joint {name!r}: {end}")
+            if link not in links:
+                raise InputError(f"{file}: joint {name!r}: {end} link {link!r} does not exist; {nearest(link, links)}")
+            ends.append(link)
+        if ends[1] in parent_of:
+            raise InputError(
+                f"{file}: link {ends[1]!r} has two parents ({parent_of[ends[1]]!r} and {ends[0]!r}): a URDF must be a "
+                "tree; cut the loop there and close it with a [[loop]] in robot.toml"
+            )
+        parent_of[ends[1]] = ends[0]
+        _check_numbers(joint, name, file)
+    return _check_connected(links, parent_of, file)
+
+
+def _check_connected(links: list[str], parent_of: Mapping[str, str], file: Path) -> str:
+    roots = [link for link in links if link not in parent_of]
+    if len(roots) != 1:
+        found = ", ".join(map(repr, roots[:4])) if roots else "none (the links form a ring)"
+        raise InputError(f"{file}: a URDF must be one tree with one root link; found {found}")
+    for link in links:
+        seen = {link}
+        while link in parent_of:
+            link = parent_of[link]
+            if link in seen:
+                raise InputError(f"{file}: link {link!r} is its own ancestor: a URDF must be a tree")
+            seen.add(link)
+    return roots[0]
+
+
+def _check_numbers(joint, name: str, file: Path) -> None:
+    for tag, attributes in (("origin", ("xyz", "rpy")), ("axis", ("xyz",)), ("limit", ("lower", "upper"))):
+        element = joint.find(tag)
+        for attribute in attributes:
+            text = None if element is None else element.get(attribute)
+            if text is None:
+                continue
+            try:
+                values = [float(part) for part in text.split()]
+            except ValueError:
+                values = []
+            if len(values) != (1 if tag == "limit" else 3) or not np.all(np.isfinite(values)):
+                raise InputError(f"{file}: joint {name!r}: {tag} {attribute} is {text!r}; allowed are finite numbers")
+            if tag == "axis" and np.linalg.norm(values) < 1e-9:
+                raise InputError(f"{file}: joint {name!r}: the axis is zero; allowed is a direction")
+
+
+def _attribute(element, key: str, file: Path, what: str) -> str:
+    value = element.get(key)
+    if not value:
+        raise InputError(f"{file}: {what} without {key!r}")
+    return value
+
+
+def _one_line(error: Exception) -> str:
+    return " ".join(str(error).split())[:200]
