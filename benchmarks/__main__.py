@@ -1,12 +1,21 @@
-"""Run the speed benchmarks, or those named, each in a process of its own: python -m benchmarks [kinematics] ..
+"""Run the quick benchmarks, or those named, each in a process of its own: python -m benchmarks [kinematics] ..
 
-`python -m benchmarks accuracy` runs the six methods over five seeds; it takes a quarter of an hour.
+Quick: kinematics, identification (without its slow peers and its scaling: `python -m benchmarks.identification`) and
+commands. Long ones, by name:
+
+    accuracy          the six methods over five seeds; a quarter of an hour
+    poses             D-optimal poses beside other layouts
+    recovery          error and chi-square beside what is possible, all shipped robots; an hour
+    coverage          do 95 % intervals hold 95 %; half an hour
+    estimators        the five estimators and the losses side by side
+    ur10_recording    a real arm, where its recordings are at hand; a minute
 """
 
 import subprocess
 import sys
 
-ALL = ("kinematics", "identification", "commands")
+ALL = {"kinematics": [], "identification": ["--quick"], "commands": []}
 
 for name in sys.argv[1:] or ALL:
-    subprocess.run([sys.executable, "-m", f"benchmarks.{name}"], check=True)
+    options = ALL[name] if not sys.argv[1:] else []
+    subprocess.run([sys.executable, "-m", f"benchmarks.{name}", *options], check=True)

@@ -19,12 +19,13 @@ from benchmarks.setup import Bench, bench, spread
 from identification.accuracy import gravity_error, orientation_error
 from identification.error_model import BuiltRobot
 from identification.estimators import identify
-from identification.expected import Sites, prior_sigma
+from identification.expected import Sites
 from identification.measurements import Measurements
 from urdf.errors import CalibrationError, InputError
 
 COUNTS = (10, 20, 50, 150)
 FRESH = 100
+_FLAT = 10.0  # sigma that stands for W's and T's flat priors [m, rad]
 CASES = {
     "ups3_s": ("ups3_s", None),
     "ups3_s, orientation": ("ups3_s", ("orientation",)),
@@ -109,7 +110,8 @@ def _bounds(
     at: Bench, truth: np.ndarray, robot: BuiltRobot, measured: Measurements, fresh: Sites
 ) -> tuple[float | None, float | None]:
     """The least expected sums of squares of the same."""
-    sigma, n = prior_sigma(at.model.parameters), len(truth)
+    parameters, n = at.model.parameters, len(truth)
+    sigma = np.where(parameters.flat, _FLAT, parameters.tolerance)
     jacobian = at.model.jacobian(truth, measured) * sigma
     factor = np.linalg.qr(np.concatenate([np.eye(n), jacobian.reshape(-1, n)]), mode="r")
     closure = robot.close(fresh.readings)

@@ -106,7 +106,7 @@ def log_det(jacobian: np.ndarray) -> float:
 
 def _reduced(jacobian: np.ndarray) -> np.ndarray:
     """The blocks in a basis of what the candidates see at all: the determinant stays, the columns become few."""
-    triangle = np.linalg.qr(jacobian.reshape(-1, jacobian.shape[-1]), mode="r")
+    triangle = np.asarray(np.linalg.qr(jacobian.reshape(-1, jacobian.shape[-1]), mode="r"))
     _, singular, vt = svd(triangle)
     return jacobian @ vt[singular > _SEEN].T
 

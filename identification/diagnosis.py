@@ -27,6 +27,7 @@ _ALIKE = 2.0  # mistakes whose residuals are within this factor explain them ali
 _LOOK = 60  # poses, and steps of a registration, that are enough to see a mistake
 _FEW_STEPS = 6
 _NOISE = 3.0  # poses that differ by less than so many sigmas excite nothing
+_HARDLY_TOLD = 2.0  # tolerances of one sigma
 FLAGGED, REFUSED = 4.0, 12.0  # tolerances that a parameter may have moved by
 
 _Mistake = tuple[str, Callable[[Measurements], Measurements]]
@@ -163,19 +164,25 @@ def _swapped(i: int, j: int) -> Callable[[Measurements], Measurements]:
     return change
 
 
-def moved_far(parameters: Parameters, p: np.ndarray) -> tuple[str, ...]:
+def moved_far(parameters: Parameters, p: np.ndarray, std: np.ndarray) -> tuple[str, ...]:
     """What to say of parameters that moved by more than 4 tolerances; W and T, whose priors are flat, apart.
 
-    Raises CalibrationError for more than 12: such an estimate is refused.
+    std: (n_parameters,) one sigma of each. Raises CalibrationError for more than 12: such an estimate is refused.
     """
     moved = np.abs(p / parameters.tolerance)
-    order = [j for j in np.argsort(-moved) if moved[j] > FLAGGED]
     said = []
-    for j in order:
+    for j in (j for j in np.argsort(-moved) if moved[j] > FLAGGED):
         unit, factor = HUMAN[parameters.units[j]]
         size = f"{parameters.names[j]} moved by {moved[j]:.1f} tolerances ({p[j] * factor:+.4g} {unit})"
-        said.append(f"{size}: {_cause(parameters.names[j], parameters.units[j])}")
-    if order and moved[order[0]] > REFUSED:
+        uncertain = std[j] / parameters.tolerance[j]
+        if uncertain > _HARDLY_TOLD:  # an estimator without priors
+            cause = (
+                f"the measurements tell it to {uncertain:.1f} tolerances only; estimator = 'map' knows the tolerances"
+            )
+        else:
+            cause = _cause(parameters.names[j], parameters.units[j])
+        said.append(f"{size}: {cause}")
+    if said and moved.max() > REFUSED:
         raise CalibrationError(f"identification is refused: {said[0]}; allowed are {REFUSED:g} tolerances")
     return tuple(said)
 

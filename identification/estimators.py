@@ -129,12 +129,12 @@ def foreseen(model: ErrorModel, measured: Measurements) -> Estimate:
 
 def _estimate(model: ErrorModel, measured: Measurements, settings: Identify, start: Estimate) -> Estimate:
     estimator, tolerance = settings.estimator, model.parameters.tolerance
-    scaled = np.where(model.parameters.flat, _FLAT_SCALE, tolerance)
     given = settings.shrinkage if isinstance(settings.shrinkage, float | int) else None
-    prior = tolerance * (given if estimator == "map" and given else 1.0)
-    problem = Problem(model, measured, np.diag(scaled), prior)
+    natural = np.where(model.parameters.flat, _FLAT_SCALE, tolerance)
+    prior = tolerance * (given if estimator == "map" and given is not None else 1.0)
+    problem = Problem(model, measured, np.diag(natural), prior)
     best = _robust(problem, start.p, start.q, settings)
-    iterations, chosen = 0, given or 1.0
+    iterations, chosen = 0, 1.0 if given is None else given
     scale = columns_scale(start.triangle, estimator, tolerance)
     within = None if estimator == "map" else identifiable(_about(start.triangle, start.p, measured.rows), scale)
     if estimator == "map":
@@ -172,7 +172,7 @@ def _shrunk(
         problem = replace(problem, sigma=sigma)
     kept = data.filter("truncated_svd", chosen if settings.estimator == "truncated_svd" else len(data.s)) > 0
     directions = np.zeros((n, int(kept.sum())))
-    directions[:-N_FRAMES] = (data.vt[kept] * data.scale).T
+    directions[:-N_FRAMES] = (data.vt[kept] * data.scale).T / data.s[kept]  # a sigma of least squares each
     found = _robust(replace(problem, basis=np.concatenate([directions, frames], axis=1)), start.p, start.q, settings)
     if settings.estimator != "liu":
         return found

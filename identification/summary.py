@@ -76,7 +76,7 @@ def summarise(
         degrees_of_freedom=freedom,
         residual_size=size,
         outliers=outliers,
-        findings=(*_verdict(chi_square, freedom), *moved_far(parameters, estimate.p)),
+        findings=(*_verdict(chi_square, freedom), *moved_far(parameters, estimate.p, np.sqrt(variance))),
     )
 
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import json
-import math
 import shlex
 import sys
 from collections.abc import Callable
@@ -12,10 +10,20 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from cyclopts import App, CycloptsError, Parameter
-from rich.console import Console
-from rich.table import Table as RichTable
 from rich.text import Text
 
+from pipeline.console import (
+    Progress,
+    aside,
+    err,
+    out,
+    print_json,
+    print_table,
+    short,
+    show_comparison,
+    show_inspection,
+    show_table,
+)
 from urdf.errors import CalibrationError, InputError
 
 app = App(
@@ -24,10 +32,6 @@ app = App(
     help_format="plaintext",
     version_flags=["--version"],
 )
-# A fixed width: a pipe has none, and a terminal wraps a long line better than rich cuts a table.
-out = Console(highlight=False, width=300)
-err = Console(stderr=True, highlight=False)
-aside = Console(stderr=True, highlight=False, width=300)  # tables on stderr
 
 
 @Parameter(name="*")
@@ -73,10 +77,10 @@ def run(
     compared, report = session.until("evaluate", "report")
     page = session.store.publish(session.robot_id, report.html.file, report.html.encode())
     if json:
-        _print_json(_comparison_json(compared))
+        print_json(_comparison_json(compared))
         return
-    _show_comparison(compared)
-    out.print(Text(f"report: {_short(page)}"))
+    show_comparison(compared)
+    out.print(Text(f"report: {short(page)}"))
 
 
 @app.command
@@ -95,10 +99,10 @@ def compare(robot: str, *others: str, json: Json = False, common: Common | None 
     compared = [_session(name, common).until("evaluate")[0] for name in (robot, *others)]
     if json:
         documents = [_comparison_json(c) for c in compared]
-        _print_json(documents if others else documents[0])
+        print_json(documents if others else documents[0])
     else:
         for c in compared:
-            _show_comparison(c)
+            show_comparison(c)
 
 
 @app.command
@@ -123,7 +127,7 @@ def inspect(
     json
         One JSON document on stdout.
     """
-    from pipeline.tables import foreseen_json, foreseen_table, parameter_table, parameters_json, summary_lines
+    from pipeline.tables import foreseen_json, parameters_json
 
     session = _session(robot, common)
     name, more, foresight = session.robot.description.name, {}, None
@@ -139,36 +143,11 @@ def inspect(
 
         draw(found, plot, before)
     if json:
-        _print_json(foreseen_json(name, found, more) if before else parameters_json(name, found))
+        print_json(foreseen_json(name, found, more) if before else parameters_json(name, found))
         return
-    if foresight is not None:
-        out.print(Text(f"{name}: what {found.n_poses} planned poses will tell ({', '.join(found.channels)})", "bold"))
-        _show_table(foreseen_table(found))
-        lines = [*summary_lines(found), *foresight.lines()]
-    else:
-        poses = f"{found.n_poses} poses ({', '.join(found.channels)})"
-        out.print(Text(f"{name}: parameters identified from {poses} by {found.estimator}, {found.loss} loss", "bold"))
-        _show_table(parameter_table(found))
-        sigmas = "; ".join(f"{c} {_sigma(c, v)}" for c, v in found.sensor_std.items())
-        estimated = f" ({', '.join(found.sensor_estimated)} estimated from residuals)" if found.sensor_estimated else ""
-        lines = [
-            *summary_lines(found),
-            f"sensors, one sigma: {sigmas}{estimated}",
-            f"chi-square {found.chi_square:.4g} over {found.degrees_of_freedom:.1f} degrees of freedom; "
-            f"{found.message} after {found.iterations} iterations, shrinkage {found.shrinkage:.3g}",
-        ]
-    lines.append(f"{len(found.unobservable)} unobservable directions:")
-    lines += [f"  {direction}" for direction in found.unobservable]
-    lines += [f"finding: {finding}" for finding in found.findings]
-    lines += [f"outlier: pose {outlier.pose}: {outlier.reason}" for outlier in found.outliers]
-    for line in lines:
-        out.print(Text(line), soft_wrap=True)
+    show_inspection(name, found, foresight)
     if plot is not None:
-        out.print(Text(f"plot: {_short(plot.absolute())}"))
-
-
-def _sigma(channel: str, sigma: float) -> str:
-    return f"{1e3 * sigma:.3g} mm" if channel == "position" else f"{math.degrees(sigma):.3g} deg"
+        out.print(Text(f"plot: {short(plot.absolute())}"))
 
 
 @app.command
@@ -184,11 +163,11 @@ def status(robot: str, *, json: Json = False, common: Common | None = None) -> N
     """
     rows = list(_session(robot, common).status())
     if json:
-        _print_json([dict(zip(("stage", "state", "why"), row, strict=True)) for row in rows])
+        print_json([dict(zip(("stage", "state", "why"), row, strict=True)) for row in rows])
         return
     from pipeline.tables import Table
 
-    _show_table(Table(("stage", "state", "why"), tuple(rows)), align="left")
+    show_table(Table(("stage", "state", "why"), tuple(rows)), align="left")
 
 
 @app.command
@@ -210,7 +189,7 @@ def predict(
     """
     from pipeline.queries import predicted_table
 
-    _print_table(predicted_table(_session(robot, common), joints, method), json)
+    print_table(predicted_table(_session(robot, common), joints, method), json)
 
 
 @app.command
@@ -232,7 +211,7 @@ def compensate(
     """
     from pipeline.queries import compensated_table
 
-    _print_table(compensated_table(_session(robot, common), poses, method), json)
+    print_table(compensated_table(_session(robot, common), poses, method), json)
 
 
 @app.command
@@ -267,9 +246,9 @@ def evaluate(
 
     compared = evaluated(_session(robot, common), data, columns, register=register, rehome=rehome)
     if json:
-        _print_json(_comparison_json(compared))
+        print_json(_comparison_json(compared))
     else:
-        _show_comparison(compared)
+        show_comparison(compared)
 
 
 @app.command
@@ -300,7 +279,7 @@ def export(
     if format == "json":
         exported = export_document(session, output, force)
         if output is None:
-            _print_json(exported.document)
+            print_json(exported.document)
             return
     else:
         exported = export_folder(session, output, force)
@@ -355,16 +334,16 @@ def plan(
     if output is not None:
         write_table(report.table, output)
     if json:
-        _print_json(plan_json(report))
+        print_json(plan_json(report))
         return
     channels = ", ".join(report.channels)
     err.print(f"{report.robot}: {len(report.table)} poses, measured {channels}; as predicted:", style="bold")
-    _show_table(layout_table(report.scores), console=aside)
+    show_table(layout_table(report.scores), console=aside)
     if wanted is not None:
         err.print(f"poses for a predicted mean error of {wanted}:", style="bold")
-        _show_table(needed_table(report), console=aside)
+        show_table(needed_table(report), console=aside)
     if output is None:
-        _print_table(report.table, False)
+        print_table(report.table, False)
 
 
 @app.command
@@ -383,7 +362,7 @@ def init(drawing: Path, *, output: Path | None = None) -> None:
     written = write_proposal(drawing, output)
     for remark in written.remarks:
         err.print(Text(f"note: {remark}", style="yellow"), soft_wrap=True)
-    out.print(Text(f"{_short(written.file)}: {written.summary}"), soft_wrap=True)
+    out.print(Text(f"{short(written.file)}: {written.summary}"), soft_wrap=True)
 
 
 def _session(robot: str, common: Common | None, force_from: str | None = None):
@@ -396,88 +375,13 @@ def _session(robot: str, common: Common | None, force_from: str | None = None):
         raise InputError(f"--force-from {force_from}: no such stage; {nearest(force_from, all_stages())}")
     loaded = load_robot(robot, common.set or ())
     command = shlex.join(["kincal", *sys.argv[1:]])
-    return Run(loaded, Store(common.store), force_from, _Progress(loaded.description.name), command)
-
-
-class _Progress:
-    """Progress by stage, live in a terminal, plain lines elsewhere; always on stderr."""
-
-    def __init__(self, robot: str) -> None:
-        self._robot = robot
-        self._live = None
-
-    def __call__(self, event) -> None:
-        why = f"  ({event.why})" if event.why else ""
-        label = f"{self._robot} {event.stage:<9}"
-        if event.state == "running":
-            if err.is_terminal:
-                self._live = err.status(Text(f"{label} running{why}"))
-                self._live.start()
-            return
-        if self._live is not None:
-            self._live.stop()
-            self._live = None
-        if event.state == "damaged":
-            err.print(
-                Text(f"warning: {event.why}; set aside, {event.stage} runs again", style="yellow"), soft_wrap=True
-            )
-        else:
-            seconds = "" if event.seconds is None else f" {event.seconds:6.2f} s"
-            style = "dim" if event.state == "cached" else ""
-            err.print(Text(f"{label} {event.state:<6}{seconds}{why}", style=style), soft_wrap=True)
-
-    def stop(self) -> None:
-        if self._live is not None:
-            self._live.stop()
+    return Run(loaded, Store(common.store), force_from, Progress(loaded.description.name), command)
 
 
 def _comparison_json(compared) -> dict[str, Any]:
     from dataclasses import asdict
 
     return asdict(compared)
-
-
-def _show_comparison(compared) -> None:
-    from pipeline.tables import comparison_tables
-
-    source = "virtual robot" if compared.source == "virtual" else compared.source
-    scored = {
-        "fresh": f"{compared.n_scored} fresh poses, noise-free truth",
-        "held_out": f"{compared.n_scored} measured poses, each held out once (cross-validation)",
-    }.get(compared.scored_on, f"{compared.scored_on}, {compared.n_scored} poses")
-    out.print(Text(f"{compared.robot}: {compared.n_poses} measured poses ({source}), scored on {scored}", style="bold"))
-    for table in comparison_tables(compared.methods, compared.raw_nominal):
-        _show_table(table)
-    if compared.closed_loop:
-        out.print(Text("after compensation, where the virtual robot is against where it should be", style="bold"))
-        for table in comparison_tables(compared.closed_loop):
-            _show_table(table)
-        for name, n in compared.not_reached.items():
-            out.print(f"{name} has no command for {n} of the desired poses; its row is of the others")
-
-
-def _show_table(table, align: Literal["left", "right"] = "right", console: Console = out) -> None:
-    shown = RichTable(box=None, pad_edge=False, header_style="bold")
-    for k, column in enumerate(table.columns):
-        shown.add_column(Text(column), justify="left" if k == 0 else align, no_wrap=True)
-    for row in table.rows:
-        shown.add_row(*(Text(cell) for cell in row))
-    console.print(shown)
-
-
-def _print_table(table, as_json: bool) -> None:
-    if as_json:
-        _print_json(table.to_dict(orient="records"))
-    else:
-        sys.stdout.write(table.to_csv(index=False))
-
-
-def _print_json(document: Any) -> None:
-    sys.stdout.write(json.dumps(document, indent=2, allow_nan=False) + "\n")
-
-
-def _short(path: Path) -> Path:
-    return path.relative_to(Path.cwd()) if path.is_relative_to(Path.cwd()) else path
 
 
 def main(arguments: list[str] | None = None) -> None:

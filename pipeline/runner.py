@@ -229,17 +229,17 @@ def explain(last: Mapping[str, Any] | None, parts: Mapping[str, Any]) -> str:
         if changed:
             more = f" and {len(changed) - 1} more" if len(changed) > 1 else ""
             shown = group in ("settings", "libraries")
-            detail = _change(old.get(changed[0]), new.get(changed[0])) if shown else "changed"
+            detail = _change(changed[0], old.get(changed[0]), new.get(changed[0])) if shown else "changed"
             return f"{said} {changed[0]} {detail}{more}"
     return "its artifact is gone or damaged"
 
 
-def _change(old: Any, new: Any) -> str:
+def _change(key: str, old: Any, new: Any) -> str:
     """`old -> new`; of tables with names which ones, and of anything long only that it changed."""
     tables = [part for value in (old, new) if isinstance(value, list) for part in value]
     if tables and all(isinstance(part, Mapping) and "name" in part for part in tables):
         names = dict.fromkeys(part["name"] for part in tables if part not in (old or []) or part not in (new or []))
-        return f"changed ({', '.join(map(repr, names)) or 'their order'})"
+        return f"changed ({key.rpartition('.')[2]} {', '.join(map(repr, names)) or 'order'})"
     text = f"{old} -> {new}"
     return text if len(text) <= _LONGEST else "changed"
 

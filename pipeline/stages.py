@@ -129,9 +129,10 @@ def measure(
     readings = plan.table[list(chain.actuated_names)].to_numpy()
     pose = VirtualRobot.of(nominal, truth).pose(readings)
     channels = measure.channels or default_channels(chain.tool_axes)
-    streamed = tuple(c for c in channels if c in ("tilt", "yaw")) if measure.stream else ()
+    # a stream is an inclinometer's: a heading without tilt comes as one reading a pose
+    streamed = tuple(c for c in channels if c in ("tilt", "yaw")) if measure.stream and "tilt" in channels else ()
     columns = sense(pose, tuple(c for c in channels if c not in streamed), sensor, seed)
-    stream = stream_of(pose, streamed, sensor, measure.stream, seed) if measure.stream and "tilt" in streamed else None
+    stream = stream_of(pose, streamed, sensor, measure.stream, seed) if measure.stream and streamed else None
     return Measured("virtual", to_table(chain.actuated_names, readings, columns), stream, truth)
 
 

@@ -228,8 +228,11 @@ class Identify(_Table):
 
     @model_validator(mode="after")
     def _scale(self) -> Identify:
-        if self.estimator == "map" and self.shrinkage == 0:
+        value = self.shrinkage
+        if self.estimator == "map" and value == 0:
             raise ValueError("shrinkage = 0: the scale of map's priors must be greater than 0")
+        if self.estimator == "liu" and isinstance(value, float | int) and value > 1:
+            raise ValueError(f"shrinkage = {value:g}: Liu's d must be 1 (least squares) or less")
         return self
 
 

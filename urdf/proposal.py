@@ -36,7 +36,7 @@ from urdf.workspace import AXES, condition_numbers, mobility
 _ROTATION_DEG = 10.0  # of the first workspace that is tried
 _SHRUNK = (1.0, 0.5, 0.25, 0.1)
 _ALIGNED = 1e-6  # [rad]
-_ATTEMPTS = 8  # at closing the loops of what is but an idea
+_ATTEMPTS = 4  # at closing the loops of what is but an idea
 _TOOL_NAMES = r"(?i)(^|[_/-])(tool\d*|tcp|ee|end_?effector|flange)([_/-]|$)"
 
 
@@ -96,7 +96,7 @@ def propose(file: Path) -> Proposal:
     )
     size = size_of(bare, links)
     attempt = _Attempt(mechanism, text, file, axes, size)
-    mechanism, refusal = (mechanism, closing.problem or problem)
+    refusal = closing.problem or problem
     if refusal is None:
         mechanism, refusal = _with_workspace(attempt, chain)
     moved = home_pose(mechanism.workspace) is not None
@@ -132,17 +132,17 @@ def _closing(drawing: Drawing, bare: ClosedChain, links: Sequence[Link]) -> _Clo
             kept, repeated = _without_repeats(replace(bare, home=q), found)
             aligned = all(meeting.turned < max(_ALIGNED, tolerance) for meeting in kept)
             idea = _Closing(bare, how, meetings=tuple(kept), candidates=tuple(repeated))
-            idea = _kind(bare, idea, ("point", "frame") if aligned else ("point",), links)
-            if _fit(idea, links):
-                return idea
-            seen = seen or idea
+            closing = _mechanism(bare, idea, ("point", "frame") if aligned else ("point",), links)
+            if closing:
+                return closing
+            seen = seen or _close(bare, idea)
     guesses = list(islice(paired(bare, links), 2))
     for guess in guesses:
         pairs = [{end.name for end in meeting.ends} for meeting in guess]
         if seen is None or all({end.name for end in meeting.ends} in pairs for meeting in seen.meetings):
-            idea = _kind(bare, _Closing(bare, "paired", meetings=tuple(guess)), ("point", "frame"), links)
-            if _fit(idea, links):
-                return idea
+            closing = _mechanism(bare, _Closing(bare, "paired", meetings=tuple(guess)), ("point", "frame"), links)
+            if closing:
+                return closing
     candidates = guesses[0] if guesses else nearest_pairs(bare, links, 5)
     return seen or _Closing(bare, "none", candidates=tuple(candidates))
 
@@ -162,16 +162,15 @@ def _dependent(chain: ClosedChain) -> bool:
     return chain.n_joints - mobility(chain) < chain.n_equations
 
 
-def _kind(bare: ClosedChain, closing: _Closing, kinds: Sequence[str], links: Sequence[Link]) -> _Closing:
-    """With loops of the first kind that makes a mechanism; else of the first, which is closed only if they coincide."""
+def _mechanism(bare: ClosedChain, idea: _Closing, kinds: Sequence[str], links: Sequence[Link]) -> _Closing | None:
+    """With loops of the first kind that makes a mechanism which kincal can calibrate."""
     for kind in kinds:
-        idea = replace(closing, kind=kind)
         chain = with_loops(bare, idea.meetings, kind)
         if 0 < chain.n_joints - chain.n_equations <= len(AXES):  # no other number can come of independent loops
-            idea = _close(bare, idea)
-            if _fit(idea, links):
-                return idea
-    return _close(bare, replace(closing, kind=kinds[0])) if closing.how != "paired" else replace(closing, problem="")
+            closing = _close(bare, replace(idea, kind=kind))
+            if _fit(closing, links):
+                return closing
+    return None
 
 
 def _close(bare: ClosedChain, closing: _Closing) -> _Closing:
@@ -188,7 +187,7 @@ def _close(bare: ClosedChain, closing: _Closing) -> _Closing:
 
 
 def _fit(closing: _Closing, links: Sequence[Link]) -> bool:
-    """Whether these loops make a mechanism that kincal can calibrate."""
+    """Whether the loops close, independently, and the tool shows every motion that they leave."""
     if closing.problem is not None or _dependent(closing.chain):
         return False
     tool = _tool(closing.chain, links)

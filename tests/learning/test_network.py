@@ -7,6 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from learning.network import Layout, Network, count, initial_weights, split
+from learning.transfer import new_network
 
 SIZES = st.tuples(*[st.integers(1, 9)] * 4)
 
@@ -133,3 +134,12 @@ def test_initial_weights(layout):
     slope = 1 - np.tanh(x @ w1.T + b1) ** 2
     assert slope.max(axis=0).min() > 0.5
     assert slope.mean() > 0.25
+
+
+def test_an_output_that_the_source_task_holds_still_is_scaled_with_the_others():
+    """A hundredth of the largest: what stands still as drawn moves as built, and must not outweigh all the rest."""
+    joints = np.random.default_rng(0).uniform(0.2, 0.4, (20, 2))
+    outputs = np.column_stack([joints[:, 0], 1e-17 * joints[:, 1], -3.0 * joints[:, 1]])
+    scale = new_network(joints, outputs, 4, seed=0).output_scale
+    largest = np.abs(outputs).max(axis=0)
+    np.testing.assert_array_equal(scale, [largest[0], 0.01 * largest[2], largest[2]])

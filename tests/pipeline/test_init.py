@@ -78,6 +78,19 @@ def test_a_shipped_robot_is_found_again(name, cli, tmp_path):
     assert (ran.status, ran.out) == (0, "")
 
 
+@pytest.mark.parametrize("name", ["gough_stewart", "linear_delta", "rps3", "ups2_u"])
+def test_other_shipped_robots_are_found_again(name):
+    """None of their drawings closes the loops; the delta's rods come in pairs, its first leg's meet as drawn."""
+    truth = load_robot(name).description
+    proposal = propose(truth.urdf)
+    assert (proposal.how, proposal.problem) == ("paired", None)
+    assert pairs(proposal.mechanism.loop) == pairs(truth.loop)
+    assert proposal.mechanism.tool_frame == truth.tool_frame
+    assert set(proposal.mechanism.actuated) == set(truth.actuated)
+    for kind in ("translation_mm", "rotation_deg"):
+        assert set(getattr(proposal.mechanism.workspace, kind)) == set(getattr(truth.workspace, kind))
+
+
 @pytest.mark.parametrize("name", ["ups3_frame", "ups3_mjcf", "ups3_frame_mjcf"])
 def test_frame_loops_and_mjcf(name, tmp_path, cli):
     """Frame loops where point loops would leave the rods turning; an MJCF has its loops."""

@@ -136,6 +136,27 @@ def test_explain(group, old, why):
     assert explain({"parts": PARTS | {group: old}}, PARTS) == why
 
 
+LEGS = [{"name": f"leg{k}", "kind": "point", "frames": [f"leg{k}_tip", f"platform_joint{k}"]} for k in range(1, 7)]
+CUT = {**LEGS[1], "frames": ["leg2_rod", "platform_joint2"]}
+
+
+@pytest.mark.parametrize(
+    "old, new, said",
+    [
+        (LEGS, [LEGS[0], CUT, *LEGS[2:]], "changed (loop 'leg2')"),
+        (LEGS[:2], LEGS[:4], "changed (loop 'leg3', 'leg4')"),
+        (LEGS[:2], [], "changed (loop 'leg1', 'leg2')"),
+        (LEGS[:2], LEGS[1::-1], "changed (loop order)"),
+        ([0, 1], [0, 2], "[0, 1] -> [0, 2]"),
+        (["leg1_slide"] * 6, ["leg1_slid"] * 6, "changed"),
+    ],
+)
+def test_explain_a_list(old, new, said):
+    """Which tables of it, by their names; and nothing longer than a line."""
+    before, now = ({"settings": {"mechanism": {"loop": value}}} for value in (old, new))
+    assert explain({"parts": before}, PARTS | now) == f"setting mechanism.loop {said}"
+
+
 def test_explain_the_first_run_and_a_lost_artifact():
     assert explain(None, PARTS) == "never ran for this robot"
     assert explain({"parts": PARTS}, PARTS) == "its artifact is gone or damaged"

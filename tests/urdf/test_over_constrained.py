@@ -121,6 +121,25 @@ def test_a_planar_four_bar_is_refused(kind, counted, involved, missing, rpy, fou
         assert re.search(words, message), f"{words!r} is not in {message!r}"
 
 
+@pytest.mark.parametrize("out_of_plane", [1e-9, 1e-6, 5e-5])
+@pytest.mark.parametrize("kind, missing", [("point", 1), ("frame", 3)])
+def test_a_four_bar_that_rounding_keeps_open_is_refused_with_what_to_do(out_of_plane, kind, missing, four_bar, checked):
+    """The coupler's pin a little out of the plane: no crank angle closes that loop, and that is not what is wrong."""
+    folder = Path(four_bar(kind))
+    text = (folder / "robot.urdf").read_text()
+    (folder / "robot.urdf").write_text(text.replace("0.4 0.1 0", f"0.4 0.1 {out_of_plane}"))
+    with pytest.raises(InputError, match=rf"'bar'.* stays open by .*over-constrained.*passive joints .*\({missing} in"):
+        checked(folder)
+
+
+def test_a_loop_that_is_far_open_is_not_called_over_constrained(four_bar, checked):
+    folder = Path(four_bar("point"))
+    text = (folder / "robot.urdf").read_text()
+    (folder / "robot.urdf").write_text(text.replace("0.4 0.1 0", "0.4 0.1 0.01"))
+    with pytest.raises(InputError, match=r"stays open by 0\.01 m or rad$"):
+        checked(folder)
+
+
 def test_a_four_bar_with_a_universal_joint_for_one_pin_is_accepted(four_bar, checked):
     report = checked(four_bar("point", "0.3 0.5 0.2", extra="1 0 0"))
     assert report.mobility == 1
