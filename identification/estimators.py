@@ -172,7 +172,8 @@ def _shrunk(
         problem = replace(problem, sigma=sigma)
     kept = data.filter("truncated_svd", chosen if settings.estimator == "truncated_svd" else len(data.s)) > 0
     directions = np.zeros((n, int(kept.sum())))
-    directions[:-N_FRAMES] = (data.vt[kept] * data.scale).T / data.s[kept]  # a sigma of least squares each
+    directions[:-N_FRAMES] = (data.vt[kept] * data.scale).T
+    directions /= np.linalg.norm(directions / problem.model.parameters.tolerance[:, None], axis=0)  # a natural size
     found = _robust(replace(problem, basis=np.concatenate([directions, frames], axis=1)), start.p, start.q, settings)
     if settings.estimator != "liu":
         return found

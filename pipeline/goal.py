@@ -77,7 +77,7 @@ class Goal:
 
     def tool(self, predicted: Motion) -> Motion:
         """The tool's poses in the base frame where the desired poses are filled with predicted ones (n)."""
-        return self.robot.instrument.inverse() @ self._filled(predicted) @ self.robot.target.inverse()
+        return self.robot.instrument.inverse() @ self.filled(predicted) @ self.robot.target.inverse()
 
     def rates(self, q: np.ndarray) -> np.ndarray:
         """(n, 6, n_tool_axes): d(coordinates) / d(tool coordinates on the axes) at closed configurations q.
@@ -138,7 +138,7 @@ class Goal:
     def __getitem__(self, rows: np.ndarray) -> Goal:
         return replace(self, desired=self.desired[rows])
 
-    def _filled(self, predicted: Motion) -> Motion:
+    def filled(self, predicted: Motion) -> Motion:
         """Predicted poses (n) with what is asked for put in; for tilt alone by the smallest turn."""
         wanted, rotation = self.desired, predicted.rotation
         if {"tilt", "yaw"} <= self.asked:

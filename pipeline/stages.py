@@ -266,6 +266,7 @@ def compensate(
     from identification.error_model import ErrorModel
     from pipeline.comparison import method_score
     from pipeline.compensation import attempt
+    from pipeline.goal import Goal, parts
     from pipeline.methods import build
     from pipeline.virtual_robot import VirtualRobot
     from urdf.kinematics import inverse
@@ -277,7 +278,9 @@ def compensate(
     u = _inner(model, evaluate.fresh_poses, seed)
     closure = inverse(chain, u).require(lambda row: f"compensate: desired pose {row}")
     robot = VirtualRobot.of(errors, measured.truth)
-    desired = robot.pose(errors.actuators.readings(closure.q[:, chain.actuated]))
+    actual = robot.pose(errors.actuators.readings(closure.q[:, chain.actuated]))
+    drawn = errors.robot(identified.registered)  # what was not measured can't be desired otherwise than as drawn
+    desired = Goal(drawn, actual, parts(channels)).filled(drawn.measured(closure.pose))
     scores, reached = [], {}
     for name, method in methods.items():  # a network that has seen few poses may have no answer for some
         tried = attempt(method, desired, chain, errors.actuators, channels)
