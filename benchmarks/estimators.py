@@ -1,8 +1,8 @@
 """The five estimators side by side on virtual robots, geometric errors and noise alone: medians over robots.
 
 Errors are on fresh poses against the noise-free truth: `held out`, poses like the measured ones; `whole`, of the whole
-workspace; the mean angle of rotation (of the vertical, for tilt alone) [deg], and of position [mm]. Parameter errors are
-root mean squares in tolerances: over all geometric parameters, and over the combinations of them that the data can tell.
+workspace; the mean angle of rotation (of the vertical, for tilt alone) [deg], and of position [mm]. Parameter errors
+are root mean squares in tolerances: over all geometric parameters, and over the combinations that the data can tell.
 """
 
 from __future__ import annotations
@@ -194,9 +194,7 @@ def _show(title: str, results: list[Result], ways: dict[str, Identify]) -> None:
         )
         chosen_shown = f"{chosen:.3g}" if name != "nominal" else ""
         failures = len(found) - len(good)
-        print(
-            f"{name:<22}{shown}{parameters:>12.3f}{combinations:>14.3f}{chosen_shown:>11}{failures:>10}", flush=True
-        )
+        print(f"{name:<22}{shown}{parameters:>12.3f}{combinations:>14.3f}{chosen_shown:>11}{failures:>10}", flush=True)
         for why in sorted({f for f in found if isinstance(f, str)}):
             print(f"    {why}")
 

@@ -1,4 +1,4 @@
-"""Does identification recover robots as well as the measurements allow? Virtual robots, geometric errors and noise alone.
+"""Does identification recover robots as well as measurements allow? Virtual robots, geometric errors and noise alone.
 
 Chi-square over its degrees of freedom (rows less the effective number of parameters): 1 where residuals are as large as
 they should be. Error over bound: root mean square error of predicted poses on fresh configurations over the Bayesian
@@ -56,7 +56,9 @@ def main() -> None:
     parser.add_argument("--robots", type=int, default=100, help="virtual robots a row (100)")
     parser.add_argument("--poses", type=int, nargs="+", default=COUNTS, help="10 20 50 150")
     options = parser.parse_args()
-    print(f"{options.robots} robots a row; chi-square per degree of freedom and error over bound, +- one standard error")
+    print(
+        f"{options.robots} robots a row; chi-square per degree of freedom and error over bound, +- one standard error"
+    )
     print(
         f"{'robot: measured':<36}{'poses':>6}{'chi-square':>17}{'rotation':>17}{'position':>17}"
         f"{'iterations':>11}{'s a fit':>9}{'failures':>9}",

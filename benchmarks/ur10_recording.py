@@ -36,7 +36,9 @@ WAYS = {
     "map, estimated sigmas": (Identify(), True),
     "map, estimated sigmas, gcv": (Identify(shrinkage="gcv"), True),
 }
-Row = tuple[float, ...]  # mean and maximum [mm], mean and maximum [deg], the sigmas [mm], [deg], largest change, seconds
+Row = tuple[
+    float, ...
+]  # mean and maximum [mm], mean and maximum [deg], the sigmas [mm], [deg], largest change, seconds
 
 
 def main() -> None:
@@ -82,9 +84,7 @@ def split(job: tuple[str, int]) -> tuple[int, dict[str, Row | str]]:
     train, test = poses[np.sort(order[:TRAIN])], poses[np.sort(order[TRAIN:])]
     began = time.perf_counter()
     registered = register(errors, train)
-    rows: dict[str, Row | str] = {
-        "nominal": _row(errors, registered.p, test, train, {}, time.perf_counter() - began)
-    }
+    rows: dict[str, Row | str] = {"nominal": _row(errors, registered.p, test, train, {}, time.perf_counter() - began)}
     for name, (settings, estimated) in WAYS.items():
         began = time.perf_counter()
         measured = replace(train, assumed=train.channels) if estimated else train

@@ -18,6 +18,7 @@ from identification.singular_values import svd
 from urdf.errors import CalibrationError
 
 NULL = 1e-11  # relative to the largest singular value: below, neither data nor prior see the direction
+_PATIENCE = 60  # iterations; then Nielsen's damping alone
 _POOR = 0.25  # a step that brings so small a part of what was foretold
 _LOPSIDED = 0.25  # a parabola's best step length is off 1 by more: worth a look
 _UNTOLD = 1e-2  # of a singular value, in natural sizes of 10 mm and 10 mrad: not told to 1 m or 1 rad is not told
@@ -68,7 +69,8 @@ def minimise(problem: Problem, p: np.ndarray, q: np.ndarray, max_iterations: int
         z, foretold = _step(problem, here.at, here.p, damping)
         step, small = problem.basis @ z, np.max(np.abs(z)) < _STEP
         trial = _at(problem, here.p + step, here.at.q)
-        if trial is not None and not small:
+        patient = iteration > _PATIENCE  # a valley so narrow that only small steps follow it
+        if trial is not None and not small and not patient:
             # Gauss-Newton overshoots (or falls short) along curved residuals, again and again: look along the step
             length = foretold / max(2 * foretold - (here.cost - trial.cost), 0.1 * foretold, 1e-300)
             other = _at(problem, here.p + length * step, here.at.q) if abs(length - 1) > _LOPSIDED else None
@@ -80,7 +82,7 @@ def minimise(problem: Problem, p: np.ndarray, q: np.ndarray, max_iterations: int
             ratio = np.clip(fall / max(foretold, 1e-300), 0.0, 1.0)
             damping *= max(1 / 3, 1 - (2 * ratio - 1) ** 3)
             damping, growth = (damping if damping > _LEAST else 0.0), 2.0
-            if ratio < _POOR:  # a curved valley: shorter steps along what is hardly seen
+            if ratio < _POOR and not patient:  # a curved valley: shorter steps along what is hardly seen
                 damping = max(4 * damping, _LEAST)
             here = trial
         elif small:

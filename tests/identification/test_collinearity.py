@@ -69,7 +69,7 @@ def test_matrices_at_random_with_two_columns_that_are_nearly_one(n, extra, near,
 
 
 def test_correlation_of_a_half_by_hand():
-    """Two columns at 60 degrees, orthogonal to W's and T's: indexes 1 and sqrt(3), inflation 4/3, proportions 1/4, 3/4."""
+    """Two columns at 60 degrees, orthogonal to W's and T's: indexes 1, sqrt(3), inflation 4/3, proportions 1/4, 3/4."""
     jacobian = np.zeros((20, 2 + N_FRAMES))
     jacobian[:2, :2] = [[1, 0.5], [0, np.sqrt(0.75)]]
     jacobian[2 : 2 + N_FRAMES, 2:] = np.eye(N_FRAMES)
@@ -102,10 +102,15 @@ def test_nothing_seen():
 
 @pytest.mark.parametrize(
     "name, channels",
-    [("ups3_s", ("orientation",)), ("ups2_u", ("tilt",)), ("ur10", ("orientation", "position")), ("rps3", ("position",))],
+    [
+        ("ups3_s", ("orientation",)),
+        ("ups2_u", ("tilt",)),
+        ("ur10", ("orientation", "position")),
+        ("rps3", ("position",)),
+    ],
 )
 def test_robots(name, channels, robot):
-    """The streamed triangle of a registered robot against its tall Jacobian; as many parameters as geometry has rank."""
+    """The streamed triangle of a registered robot against its tall Jacobian; as many parameters as the rank."""
     loaded = robot(name)
     measured = loaded.measure(loaded.random_parameters(1), loaded.readings(70, 1), channels)
     registered, parameters = register(loaded.model, measured), loaded.model.parameters

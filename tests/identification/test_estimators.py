@@ -394,9 +394,13 @@ def test_a_sigma_that_is_given_is_not_estimated(robot):
 
 
 @pytest.mark.parametrize("loss", ["gaussian", "huber"])
-@pytest.mark.parametrize("name, channels, n", [("ups2_u", ("orientation",), 4), ("ur10", ("orientation", "position"), 5)])
+@pytest.mark.parametrize(
+    "name, channels, n", [("ups2_u", ("orientation",), 4), ("ur10", ("orientation", "position"), 5)]
+)
 def test_few_poses_cannot_tell_a_sigma(name, channels, n, loss, robot):
     loaded = robot(name)
     _, measured = noisy(loaded, channels, n, 50)
-    with pytest.raises(InputError, match=rf"sigma of orientation is not given, and {n} poses can't tell it .*\[sensor\]"):
+    with pytest.raises(
+        InputError, match=rf"sigma of orientation is not given, and {n} poses can't tell it .*\[sensor\]"
+    ):
         identify(loaded.model, replace(measured, assumed=channels), Identify(loss=loss))

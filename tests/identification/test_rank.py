@@ -100,7 +100,7 @@ def test_ur10_has_the_textbooks_rank(robot):
 
 _UNITS = {"mm": 1e-3, "deg": np.pi / 180, "mm/reading": 1e-3, "deg/reading": np.pi / 180}
 _SHORT = re.compile(r"(\S+) trades against (\S+) 1:(-?1)")
-_LONG = re.compile(r"(\S+) trades against (.+?)(?: \((\d+) smaller ones\))?, (1 \S+(?: : \S+ \S+)+)")
+_LONG = re.compile(r"(\S+) trades against (.+?)(?: \(and (\d+) by less\))?, (1 \S+(?: : \S+ \S+)+)")
 
 
 def read_back(text: str, parameters) -> tuple[str, dict[str, float], int]:
@@ -150,7 +150,7 @@ def test_written_directions_are_in_the_null_space(name, channels, robot):
     leads = [parameters.names.index(lead) for lead, _, _ in read]
     assert len(set(leads)) == len(read) == len(parameters) - found.rank > 0
     written = 0
-    for k, (lead, held, smaller) in enumerate(read):
+    for k, (_, held, smaller) in enumerate(read):
         direction = np.zeros(len(parameters))
         for other, size in held.items():
             direction[parameters.names.index(other)] = size

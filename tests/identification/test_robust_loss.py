@@ -90,7 +90,7 @@ def test_constants_of_one_dimension_are_the_textbooks():
 @pytest.mark.parametrize("d", [1, 2, 3])
 @pytest.mark.parametrize("kind", ROBUST)
 def test_on_gaussian_noise_the_loss_curves_like_least_squares(kind, d):
-    """Mean slope 1, so that priors weigh what they do beside a sum of squares; weighted squares of mean 1; 95 % of the efficiency.
+    """Mean slope 1: priors weigh what they do beside a sum of squares; weighted squares of mean 1; 95 % efficient.
 
     Means over 200 000 blocks: their own standard errors, five of them allowed (and the integration's 1e-4).
     """
