@@ -224,7 +224,7 @@ class Identify(_Table):
     # the scale of the priors (map), ridge's k, Liu's d, how many directions truncated_svd keeps: a number, or how it
     # is chosen. Default: 1 for map, generalised cross-validation for the others
     shrinkage: NotNegative | Literal["gcv", "kfold"] | None = None
-    max_iterations: Annotated[int, Field(ge=1, le=10_000)] = 300
+    max_iterations: Annotated[int, Field(ge=1, le=10_000)] = 1000
 
     @model_validator(mode="after")
     def _scale(self) -> Identify:
