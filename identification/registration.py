@@ -47,7 +47,7 @@ def starts(tool: Motion, measured: Measurements) -> list[tuple[Motion, Motion]]:
         pairs = [found or _alternate(rotation, tool.rotation)]
         if found is None and measured.position is not None:  # a tool that does not turn: its path tells W
             pairs += [
-                (w, _procrustes(np.einsum("nji,kj,nkl->il", tool.rotation, w.T, rotation)))
+                (w, _procrustes(np.einsum("nji,kj,nkl->il", tool.rotation, w, rotation)))
                 for w, _ in _alternate_positions(measured.position, tool)
             ]
     elif measured.tilt is not None:
