@@ -2,6 +2,7 @@
 
 import csv
 import json
+import shutil
 import tomllib
 import xml.etree.ElementTree as Xml
 from dataclasses import dataclass
@@ -59,14 +60,15 @@ class Case:
 
 @pytest.fixture(scope="module")
 def case(start, finished, tmp_path_factory):
-    """case(robot): exported once a module."""
+    """case(robot): exported once a module, from a copy: other tests count the artifacts of the finished store."""
     made: dict[str, Case] = {}
+    store = shutil.copytree(finished.store, tmp_path_factory.mktemp("exported") / "store")
 
     def make(robot: str) -> Case:
         if robot not in made:
             folder = tmp_path_factory.mktemp("exported")
             channels = () if robot == "ups3_s" else ('measure.channels=["orientation", "position"]',)
-            run, _ = start(finished.store, f"plan.poses={POSES[robot]}", *channels, robot=FOLDERS[robot])
+            run, _ = start(store, f"plan.poses={POSES[robot]}", *channels, robot=FOLDERS[robot])
             exported = export_folder(run, folder / "calibrated")
             made[robot] = Case(run, identified_robot(run), folder / "calibrated", exported)
         return made[robot]
