@@ -8,6 +8,7 @@ commands. Long ones, by name:
     recovery          error and chi-square beside what is possible, all shipped robots; an hour
     coverage          do 95 % intervals hold 95 %; half an hour
     estimators        the five estimators and the losses side by side
+    training          networks beside scikit-learn and torch's Adam, ten seeds at once; six minutes
     ur10_recording    a real arm, where its recordings are at hand; a minute
 """
 

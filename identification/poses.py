@@ -41,6 +41,13 @@ def _factors(n: int, k: int) -> list[int] | None:
     return None
 
 
+def chosen(n: int, count: int, seed: int) -> np.ndarray:
+    """Rows of n measured poses when only `count` are to be used; more are the same and others. Raises InputError."""
+    if count > n:
+        raise InputError(f"split.poses = {count}: there are {n} measured poses")
+    return np.sort(np.random.default_rng([seed, 13]).permutation(n)[:count])
+
+
 def travel_order(joints: np.ndarray, home: np.ndarray) -> np.ndarray:
     """(n,) an order of poses with joints (n, n_actuated) in which the machine travels little, from home (n_actuated,).
 
@@ -89,5 +96,9 @@ def held_out(n: int, split: Split, seed: int) -> np.ndarray:
 
 def folds(n: int, split: Split, seed: int) -> list[np.ndarray]:
     """1 / test folds of n measured poses for cross-validation: each pose in one of them."""
-    k = min(n, max(2, round(1 / split.test)))
+    return equal_parts(n, min(n, max(2, round(1 / split.test))), seed)
+
+
+def equal_parts(n: int, k: int, seed: int) -> list[np.ndarray]:
+    """Rows of n poses in k parts, drawn with the seed."""
     return [np.sort(part) for part in np.array_split(np.random.default_rng([seed, 4]).permutation(n), k)]

@@ -1,127 +1,170 @@
-"""A network for what a model leaves, trained through the model: errors e = r + J delta(x), delta zero at the start.
+"""A network for what a model leaves, trained through the model and together with its parameters.
 
-Evidence gates it: cross-validation chooses the weights' decay and a shrinkage factor, down to nothing where the
-correction does not pay; outside the hull of the training inputs it fades.
+Errors of measured poses e = r + J z + G delta(x) are linear in the model's parameters z, which have their priors, and
+in the network's readout; so both are found at once and neither takes what is the other's. Evidence gates it: the
+network must pay in cross-validation, and is shrunk by as much as it overdoes; outside the hull of the training inputs
+it fades.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from itertools import combinations
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.stats import chi2, trim_mean
+from scipy.stats import f as f_distribution
+from scipy.stats import t as student
 
-from learning.network import Layout, Network, initial_weights
+from learning.correction import Correction, Hull, Spread
+from learning.evidence import Posterior, Rows, Unseen, cross_validated, inflation, posterior
+from learning.units import INHERITED, OWN, SHARED, WAVES, Inherited, Units, range_of, shared_units
+from learning.waves import find_waves
 
-_DECAYS = (0.01, 0.1, 1.0, 10.0, 100.0)
-_SURE = 2.0  # standard errors by which the correction must pay in cross-validation
-_MARGIN = 0.1  # of the training range: how far outside the hull the correction has faded to nothing
-
-
-@dataclass(frozen=True)
-class Hull:
-    """An outer polytope of points x (n, k): directions . x <= reach, over axes and their pairwise diagonals."""
-
-    directions: np.ndarray  # (n_directions, k), in scaled inputs
-    reach: np.ndarray  # (n_directions,)
-
-    @staticmethod
-    def of(x: np.ndarray) -> Hull:
-        k = x.shape[1]
-        eye = np.eye(k)
-        diagonals = [(eye[i] + s * eye[j]) / np.sqrt(2) for i, j in combinations(range(k), 2) for s in (1, -1)]
-        half = np.array([*eye, *diagonals])
-        directions = np.concatenate([half, -half])
-        return Hull(directions, (x @ directions.T).max(axis=0))
-
-    def outside(self, x: np.ndarray) -> np.ndarray:
-        """(n,) how far x: (n, k) lies outside; 0 inside."""
-        return np.maximum((x @ self.directions.T - self.reach).max(axis=1), 0.0)
+_LEAST_TOLD = 1e-3  # of a prior's sigma: what poses tell less of is left to it
+_CHANCE = 0.01  # that a network which does not pay is believed
+_PROBABLE = np.log(20)  # of the data's probability with the network over that without: it is believed sooner
+_PARTS, _REPEATS = (0.4, 0.55, 0.7, 0.85), 4  # of the learning curve
+_LEAST_POSES = 8  # of it
+_TRIMMED = 0.03  # of the poses, on either side: outliers
+_HELD = 0.95  # of the regions that are told
+STRUCTURES = {  # simple ones first: of equals the first is taken
+    "each joint its own": (OWN,),
+    "periodic": (WAVES,),
+    "periodic, inherited": (WAVES, INHERITED),
+    "each joint its own, inherited": (OWN, INHERITED),
+    "each joint its own, periodic, inherited": (OWN, WAVES, INHERITED),
+    "all": (OWN, WAVES, SHARED, INHERITED),
+}
 
 
 @dataclass(frozen=True)
-class Correction:
-    """delta(x) = shrinkage * fade(x) * network(x), in the network's output units."""
+class Task:
+    """What there is to learn from: n measured poses, m whitened rows each, linearised at a robot as identified."""
 
-    network: Network
-    hull: Hull
-    shrinkage: float  # 0 .. 1
-    decay: float
-    gain_of_evidence: float  # mean fall of the weighted square error in cross-validation, in its standard errors
-
-    def __call__(self, x: np.ndarray) -> np.ndarray:
-        """(n, n_out) at x: (n, n_in)."""
-        if self.shrinkage == 0.0:
-            return np.zeros((len(x), self.network.sizes[-1]))
-        return self.shrinkage * self.fade(x)[:, None] * self.network(x)
-
-    def fade(self, x: np.ndarray) -> np.ndarray:
-        """(n,) 1 inside the hull of the training inputs, falling smoothly to 0 outside."""
-        distance = np.minimum(self.hull.outside(self.network.scaled(x)) / (2 * _MARGIN), 1.0)  # a range is 2 wide
-        return (1 - distance**2) ** 2
+    x: np.ndarray  # (n, k) readings
+    error: np.ndarray  # (n, m) of the robot as drawn and uncorrected, by the linearisation
+    by_model: np.ndarray  # (n, m, P) d error / d z, z in units of its prior's sigma
+    by_output: np.ndarray  # (n, m, k) d error / d delta
 
 
 def fit_correction(
-    x: np.ndarray,
-    error: np.ndarray,
-    gain: np.ndarray,
-    folds: list[np.ndarray],
-    fold_errors: np.ndarray,
-    *,
-    own: int,
-    shared: int,
-    iterations: int,
-    seed: int,
-) -> Correction:
-    """Fit delta to weighted errors (n, m) of a model at inputs x (n, k), with gain (n, m, k) = d error / d delta.
+    task: Task, folds: Sequence[np.ndarray], inherited: Inherited | None, *, own: int, shared: int, seed: int
+) -> tuple[Correction, np.ndarray]:
+    """The correction, and the model's parameters (P,) beside it, in their priors' sigmas.
 
-    folds: rows held out in turn; fold_errors: (n_folds, n, m), the model's errors where it has not seen that fold.
+    folds: poses held out in turn. Of the structures the one with the least error in cross-validation is taken.
     """
-    from learning.training import Problem, levenberg_marquardt  # imports torch: two seconds, for those who train
+    basis = _told_apart(task)
+    seen = replace(task, by_model=task.by_model @ basis)
+    centre, span = range_of(task.x)
+    model = Rows(seen.error, seen.by_model, np.zeros(basis.shape[1], dtype=int))
+    modelled, alone = cross_validated(model, folds)
+    # the least outputs that explain what the model leaves set their scale
+    needed = np.linalg.pinv(task.by_output) @ model.left(modelled.mean)[..., None]
+    scale = np.maximum(np.sqrt(np.mean(needed[..., 0] ** 2, axis=0)), 1e-12)
+    everything = Units(centre, span, own, np.zeros((0, 2)), shared_units(len(centre), shared, seed), inherited)
+    known = _rows(seen, _only(everything, (INHERITED,)), scale)
+    waves = find_waves(everything.scaled(task.x), task.error, known.columns, task.by_output * scale)
+    everything = replace(everything, waves=waves)
+    losses, tried = {"": alone.loss}, []
+    for name, groups in STRUCTURES.items():
+        units = _only(everything, groups)
+        if set(groups) <= set(units.layout[1]):  # else it is another structure again
+            found, unseen = cross_validated(_rows(seen, units, scale), folds)
+            losses[name] = unseen.loss
+            tried.append((unseen.loss, len(tried), name, units, found, unseen))
+    _, _, name, units, found, unseen = min(tried)
+    evidence = _evidence(alone, unseen)
+    more_probable = found.log_evidence - modelled.log_evidence
+    sure = evidence > student.isf(_CHANCE, len(task.x) - 1) or (more_probable > _PROBABLE and evidence > 1)
+    change = unseen.error - alone.error
+    shrinkage = float(np.clip(-np.sum(alone.error * change) / max(np.sum(change**2), 1e-300), 0.0, 1.0))
+    correction = Correction(
+        units=units,
+        readout=found.mean[basis.shape[1] :],
+        scale=scale,
+        hull=Hull.of(units.scaled(task.x)),
+        structure=name,
+        shrinkage=shrinkage if sure and np.mean(unseen.square) < np.mean(alone.square) else 0.0,
+        evidence=evidence,
+        losses=losses,
+        alone=_spread(modelled, alone, seen, scale, basis),
+        refined=_spread(found, unseen, seen, scale, basis),
+    )
+    return correction, basis @ found.mean[: basis.shape[1]]
 
-    layout = Layout.joint_wise(x.shape[1], own, shared)
-    low, high = x.min(axis=0), x.max(axis=0)
-    span = np.maximum((high - low) / 2, 1e-12)
-    # the least change of the inputs that explains each error sets the output's scale
-    needed = -(np.linalg.pinv(gain) @ error[..., None])[..., 0]
-    scale = np.maximum(np.sqrt(np.mean(needed**2, axis=0)), 1e-12)
-    start = initial_weights(layout, np.random.default_rng([seed, 8]), zero_output=True)
-    network = Network(layout.sizes, start, (low + high) / 2, span, scale)
-    scaled, gain = network.scaled(x), gain * scale
-    # weighted so that the decay means the same whatever the errors' size
-    weight = 1.0 / max(float(np.mean(error**2)), 1e-300)
-    cases = [(decay, k) for decay in _DECAYS for k in range(len(folds))]
-    train = np.full((len(cases), len(x)), weight)
-    for case, (_, k) in enumerate(cases):
-        train[case, folds[k]] = 0.0
 
-    def fit(offsets: np.ndarray, rows: np.ndarray, decays: np.ndarray) -> np.ndarray:
-        n = len(offsets)
-        problem = Problem(
-            np.repeat(scaled[None], n, 0), offsets, np.repeat(gain[None], n, 0), rows, np.zeros_like(rows)
-        )
-        begins = np.repeat(start[None], n, 0)
-        return levenberg_marquardt(
-            problem, layout, begins, iterations=iterations, patience=iterations, decay=decays
-        ).weights
+def _told_apart(task: Task) -> np.ndarray:
+    """(P, r) orthonormal: the model's directions that the poses tell anything of; on the others the priors stay."""
+    flat = task.by_model.reshape(-1, task.by_model.shape[2])
+    values, vectors = np.linalg.eigh(flat.T @ flat)
+    return vectors[:, values > _LEAST_TOLD**2]
 
-    offsets = np.stack([fold_errors[k] for _, k in cases])
-    weights = fit(offsets, train, np.array([decay for decay, _ in cases]))
-    best = (np.inf, _DECAYS[-1], 0.0, 0.0)
-    for decay in _DECAYS:
-        before, change = np.zeros_like(error), np.zeros_like(error)
-        for case, (used, k) in enumerate(cases):
-            if used == decay:
-                rows = folds[k]
-                y = network.with_weights(weights[case])(x[rows]) / scale
-                before[rows], change[rows] = fold_errors[k][rows], (gain[rows] @ y[..., None])[..., 0]
-        shrinkage = float(np.clip(-np.sum(before * change) / max(np.sum(change**2), 1e-300), 0.0, 1.0))
-        after = np.sum((before + shrinkage * change) ** 2, axis=1)
-        fall = np.sum(before**2, axis=1) - after
-        sure = float(np.mean(fall) / max(np.std(fall, ddof=1) / np.sqrt(len(fall)), 1e-300)) if len(fall) > 1 else 0.0
-        best = min(best, (float(np.sum(after)), decay, shrinkage, sure))
-    _, decay, shrinkage, sure = best
-    if sure < _SURE:
-        return Correction(network, Hull.of(scaled), 0.0, decay, sure)
-    final = fit(error[None], np.full((1, len(x)), weight), np.array([decay]))[0]
-    return Correction(network.with_weights(final), Hull.of(scaled), shrinkage, decay, sure)
+
+def _evidence(alone: Unseen, unseen: Unseen) -> float:
+    """Mean fall of the logarithm of a pose's error, in its standard errors: no single pose decides."""
+    fall = np.log1p(alone.square) - np.log1p(unseen.square)
+    return float(np.mean(fall) / max(np.std(fall, ddof=1) / np.sqrt(len(fall)), 1e-300))
+
+
+def learning_curve(task: Task, correction: Correction, seed: int) -> np.ndarray:
+    """(sizes, 3): number of poses, and what unseen poses err by in sigmas, the instruments' noise taken off.
+
+    Of the model alone and of the model with the correction, trained on parts of the poses and tried on the others.
+    """
+    basis, (n, m) = correction.refined.basis, task.error.shape
+    seen = replace(task, by_model=task.by_model @ basis)
+    model = Rows(seen.error, seen.by_model, np.zeros(basis.shape[1], dtype=int))
+    refined = _rows(seen, correction.units, correction.scale)
+    random, found = np.random.default_rng([seed, 14]), []
+    sizes = [round(part * n) for part in _PARTS if part * n >= _LEAST_POSES]
+    for size in sizes:
+        squares: list[list[float]] = [[], []]
+        for _ in range(_REPEATS):
+            order = random.permutation(n)
+            train, rest = np.sort(order[:size]), np.sort(order[size:])
+            for own, rows in zip(squares, (model, refined), strict=True):
+                square = np.sum(rows.left(posterior(rows.sums(train), rows.group).mean, rest) ** 2, axis=1)
+                own.append(float(trim_mean(square, _TRIMMED)))
+        found.append((size, *(np.sqrt(max(np.mean(own) - m, 0.0)) for own in squares)))
+    return np.array(found, dtype=float).reshape(-1, 3)
+
+
+def refit(correction: Correction, task: Task) -> tuple[Correction, np.ndarray]:
+    """The same correction at another linearisation of its task."""
+    basis = correction.refined.basis
+    rows = _rows(replace(task, by_model=task.by_model @ basis), correction.units, correction.scale)
+    mean = posterior(rows.sums(slice(None)), rows.group).mean
+    return replace(correction, readout=mean[basis.shape[1] :]), basis @ mean[: basis.shape[1]]
+
+
+def _only(units: Units, groups: tuple[str, ...]) -> Units:
+    return replace(
+        units,
+        own=units.own if OWN in groups else 0,
+        waves=units.waves if WAVES in groups else units.waves[:0],
+        shared=units.shared if SHARED in groups else units.shared[:0],
+        inherited=units.inherited if INHERITED in groups else None,
+    )
+
+
+def _rows(task: Task, units: Units, scale: np.ndarray) -> Rows:
+    joints, names = units.layout
+    columns = (task.by_output * scale)[:, :, joints] * units.values(task.x)[:, None]
+    groups = {name: g for g, name in enumerate(dict.fromkeys(names), 1)}
+    group = np.concatenate([np.zeros(task.by_model.shape[2], dtype=int), [groups[name] for name in names]]).astype(int)
+    return Rows(task.error, np.concatenate([task.by_model, columns], axis=2), group)
+
+
+def _spread(found: Posterior, unseen: Unseen, task: Task, scale: np.ndarray, basis: np.ndarray) -> Spread:
+    """What the rows' noise has beyond the instruments' own, and chance, is taken for the actuators'."""
+    outputs = task.by_output * scale
+    mean_trace = float(np.mean(np.sum(outputs**2, axis=(1, 2)))) / task.error.shape[1]
+    beyond = max(found.noise * (1 - np.sqrt(2 / found.freedom)) - 1, 0.0)
+    unexplained = np.sqrt(beyond / max(mean_trace, 1e-300))
+    rest = unexplained**2 * outputs @ outputs.swapaxes(1, 2)
+    m = task.error.shape[1]
+    unsure = m * f_distribution.ppf(_HELD, m, found.freedom) / chi2.ppf(_HELD, m)  # the noise is an estimate, too
+    factor = float(unsure) * inflation(unseen.error, unseen.spread + rest)
+    return Spread(basis, found.covariance, float(unexplained), factor)

@@ -31,6 +31,7 @@ app = App(
     help="Calibrates closed-chain (parallel) robots from a handful of measured poses.",
     help_format="plaintext",
     version_flags=["--version"],
+    suppress_keyboard_interrupt=False,  # main says so
 )
 
 
@@ -347,6 +348,60 @@ def plan(
 
 
 @app.command
+def sweep(
+    robot: str,
+    *,
+    over: Annotated[list[str] | None, Parameter(name="--over", negative=())] = None,
+    seeds: int = 1,
+    on: str = "1",
+    output: Path | None = None,
+    json: Json = False,
+    common: Common | None = None,
+) -> None:
+    """The comparison over a grid of settings and seeds: one table of all, and the medians over seeds.
+
+    Parameters
+    ----------
+    robot
+        A shipped robot's name, or the path to a robot.toml.
+    over
+        A setting and its values: table.key=10,20,...,210, in TOML syntax; repeated, every combination.
+    seeds
+        How many seeds, from 0; 1: the robot's own.
+    on
+        How many worker processes; 1: this process.
+    output
+        The folder of sweep.parquet and sweep.svg (default: the robot's folder in the store).
+    json
+        One JSON document on stdout.
+    """
+    from pipeline.executor import worker_count
+    from pipeline.sweep import median_tables, output_folder, plan_sweep, sweep_json, write
+    from pipeline.sweep import sweep as swept_on
+    from pipeline.sweep_progress import SweepProgress
+
+    n_workers, common = worker_count(on), common or Common()
+    overs, points = plan_sweep(robot, over or (), seeds, common.set or (), common.store, _command())
+    session = _session(robot, common)
+    folder = output_folder(output, session.store.root / "robots" / session.robot_id)
+    valid = [p for p in points if not isinstance(p.robot, InputError)]
+    labels = {p.job: " ".join(f"{key}={value}" for key, value in p.values.items()) for p in valid}
+    with SweepProgress(session.robot.description.name, labels) as progress:
+        found = swept_on(overs, points, n_workers, progress)
+    table, figure = write(found, folder)
+    if json:
+        print_json(sweep_json(found, table, figure))
+    else:
+        for title, medians in median_tables(found):
+            out.print(Text(f"{found.robot}: {title}", style="bold"))
+            show_table(medians)
+        for what, file in (("table", table), ("figure", figure)):
+            if file is not None:
+                out.print(Text(f"{what}: {short(file)}"), soft_wrap=True)
+    found.check()
+
+
+@app.command
 def init(drawing: Path, *, output: Path | None = None) -> None:
     """Propose a robot.toml for a URDF or an MJCF: loops, actuators and a workspace, with the reasons in comments.
 
@@ -374,8 +429,11 @@ def _session(robot: str, common: Common | None, force_from: str | None = None):
     if force_from is not None and force_from not in all_stages():
         raise InputError(f"--force-from {force_from}: no such stage; {nearest(force_from, all_stages())}")
     loaded = load_robot(robot, common.set or ())
-    command = shlex.join(["kincal", *sys.argv[1:]])
-    return Run(loaded, Store(common.store), force_from, Progress(loaded.description.name), command)
+    return Run(loaded, Store(common.store), force_from, Progress(loaded.description.name), _command())
+
+
+def _command() -> str:
+    return shlex.join(["kincal", *sys.argv[1:]])
 
 
 def _comparison_json(compared) -> dict[str, Any]:

@@ -67,6 +67,8 @@ def show_comparison(compared) -> None:
             show_table(table)
         for name, n in compared.not_reached.items():
             out.print(f"{name} has no command for {n} of the desired poses; its row is of the others")
+    if compared.advice is not None:
+        out.print(Text(compared.advice.text), soft_wrap=True)
 
 
 def show_table(table, align: Literal["left", "right"] = "right", console: Console = out) -> None:

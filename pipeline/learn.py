@@ -1,111 +1,112 @@
-"""How the networks meet the robot: source tasks, fine-tuning, and the correction of the actuators."""
+"""How the paper's networks meet the robot: source tasks, pre-training and fine-tuning."""
 
 from __future__ import annotations
-
-from collections.abc import Sequence
 
 import numpy as np
 
 from identification.error_model import ErrorModel
-from identification.estimators import left_out
 from identification.measurements import Measurements
-from identification.poses import folds
 from learning.network import Network
-from learning.residual import fit_correction
 from learning.transfer import allowed_hidden, new_network, train
 from pipeline.charts import Chart
-from pipeline.results import Fit, Learned, Pretrained
-from urdf.description import Pretrain, Split, Transfer
+from pipeline.results import Fit, Identified, Learned, Pretrained, SourceTask
+from urdf.description import Pretrain, Transfer
 from urdf.errors import InputError
 
 
-def pretrained(
-    model: ErrorModel,
-    readings: np.ndarray,
-    fits: Sequence[Fit],
-    channels: tuple[str, ...],
-    n_poses: int,
-    settings: Pretrain,
-    seed: int,
-) -> Pretrained:
-    """Each fit's networks of the source task, at readings (n, n_actuated): the nominal model's, the identified one's.
+def source_task(model: ErrorModel, readings: np.ndarray, identified: Identified, settings: Pretrain) -> SourceTask:
+    """The nominal model's outputs at readings (n, n_actuated), in each fit's chart.
 
-    All start from the same random network. The identified model's prior goes on from the nominal one's, so that it
-    costs a tenth; where the task of two fits is the same to the last bit (it needs W and T for tilt alone) it is
-    learned once.
+    Where those of two fits are the same to the last bit (W and T matter for tilt alone), and of two robots of one
+    design, they are learned once. Raises InputError for a network that is too large for the measured poses.
     """
-    as_drawn = [Chart(model.robot(fit.registered), channels) for fit in fits]
-    as_built = [Chart(model.robot(fit.identified), channels) for fit in fits]
-    tasks = [chart.of_tool(chart.robot.close(readings).require(_where).pose) for chart in as_drawn]
-    largest = allowed_hidden(readings.shape[1], as_drawn[0].n_out, n_poses)
-    if settings.hidden > largest:
-        raise InputError(
-            f"pretrain.hidden = {settings.hidden}: too large a network for {n_poses} poses; allowed is {largest}"
-        )
-    start = new_network(readings, tasks[0], settings.hidden, seed)
-    unique: dict[bytes, Network] = {}
-    curve = np.zeros((0, 2))
-    for task in tasks:
-        if task.tobytes() not in unique:
-            networks, trained = _train(start, readings, task, settings.validation, settings.iterations, seed)
-            unique[task.tobytes()], curve = networks[0], trained.curve
-    nominal = [unique[task.tobytes()] for task in tasks]
-    identified = []
-    for network, chart in zip(nominal, as_built, strict=True):
-        task = chart.of_tool(chart.robot.close(readings).require(_where).pose)
-        identified += _train(network, readings, task, settings.validation, settings.continued, seed)[0]
-    return Pretrained(start, tuple(nominal), tuple(identified), curve)
+    shipped, outputs, of_fit = identified.shipped, {}, []
+    for fit in identified.fits():
+        chart = Chart(model.robot(fit.registered), shipped.channels)
+        y = _modelled(chart, readings)
+        of_fit.append(list(outputs).index(y.tobytes()) if y.tobytes() in outputs else len(outputs))
+        outputs.setdefault(y.tobytes(), y)
+    task = SourceTask(readings, tuple(outputs.values()), tuple(of_fit))
+    n, hidden = shipped.n_poses, settings.hidden
+    largest = allowed_hidden(readings.shape[1], task.outputs[0].shape[1], n)
+    if hidden > largest:
+        raise InputError(f"pretrain.hidden = {hidden}: too large a network for {n} poses; allowed is {largest}")
+    return task
 
 
-def _where(row: int) -> str:
-    return f"prior: pose {row}"
-
-
-def _train(network: Network, readings: np.ndarray, task: np.ndarray, validation: float, iterations: int, seed: int):
-    rows = [np.arange(len(readings))]
-    return train([network], readings, [task], rows, validation=validation, iterations=iterations, seed=seed)
+def pretrained(task: SourceTask, settings: Pretrain, seed: int) -> Pretrained:
+    """A network for each source task, all from the same random one."""
+    start = new_network(task.readings, task.outputs[0], settings.hidden, seed)
+    networks, trained = train(
+        [start] * len(task.outputs),
+        task.readings,
+        task.outputs,
+        [np.arange(len(task.readings))] * len(task.outputs),
+        validation=settings.validation,
+        iterations=settings.iterations,
+        seed=seed,
+    )
+    return Pretrained(start, tuple(networks), trained.curve[:, [0, len(task.outputs)]])
 
 
 def learned(
     model: ErrorModel,
     measured: Measurements,
-    fit: Fit,
-    networks: tuple[Network, Network, Network],
+    identified: Identified,
+    task: SourceTask,
+    pretrained: Pretrained,
+    pretrain: Pretrain,
     settings: Transfer,
-    split: Split,
     seed: int,
-) -> Learned:
-    """All that is learned from the poses that `fit` has seen; networks: random, nominal prior, identified prior."""
-    own = np.setdiff1d(np.arange(len(measured)), fit.test)
-    poses = measured[own]
-    as_drawn = Chart(model.robot(fit.registered), measured.channels)
-    as_built = Chart(model.robot(fit.identified), measured.channels)
-    pose = poses.as_poses()
-    drawn, built = as_drawn.of_measured(poses, pose), as_built.of_measured(poses, pose)
-    (network, transfer, transfer_identified), trained = train(
-        networks,
-        poses.readings,
-        [drawn, drawn, built],
-        [np.arange(len(own))] * 3,
+) -> tuple[Learned, ...]:
+    """The three networks of every fit, each on the poses that the fit has seen; all are trained in one batch."""
+    fits, channels = identified.fits(), measured.channels
+    nominal = [pretrained.nominal[k] for k in task.of_fit]
+    built = _continued(model, fits, channels, task, nominal, pretrain, seed)
+    pose = measured.as_poses()
+    outputs, rows = [], []
+    for fit in fits:
+        as_drawn, as_built = (Chart(model.robot(p), channels) for p in (fit.registered, fit.identified))
+        drawn = as_drawn.of_measured(measured, pose)
+        outputs += [drawn, drawn, as_built.of_measured(measured, pose)]
+        rows += [np.setdiff1d(np.arange(len(measured)), fit.test)] * 3
+    networks, trained = train(
+        [network for own, other in zip(nominal, built, strict=True) for network in (pretrained.start, own, other)],
+        measured.readings,
+        outputs,
+        rows,
         validation=settings.validation,
         iterations=settings.iterations,
         seed=seed,
     )
-    q = model.robot(fit.identified).close(poses.readings).q  # identification has closed these loops
-    rows = model.residual(model.robot(fit.identified), q, poses)
-    jacobian, n = model.jacobian(fit.identified, poses, q), len(model.actuators.gain)
-    gain = jacobian[:, :, -12 - 2 * n : -12 - n]
-    parts = folds(len(poses), split, seed)
-    unseen = np.stack([left_out(model, fit.identified, jacobian, rows, part) for part in parts])
-    correction = fit_correction(
-        poses.readings,
-        rows,
-        gain,
-        parts,
-        unseen,
-        own=settings.own_hidden,
-        shared=settings.shared_hidden,
-        iterations=settings.correction_iterations,
-        seed=seed,
+    curves = trained.curve.reshape(-1, 2, len(fits), 3)  # training and validation losses
+    return tuple(
+        Learned(*networks[3 * k : 3 * k + 3], curve=curves[:, :, k].reshape(-1, 6).copy()) for k in range(len(fits))
     )
-    return Learned(network, transfer, transfer_identified, correction, trained.curve)
+
+
+def _continued(
+    model: ErrorModel,
+    fits: tuple[Fit, ...],
+    channels: tuple[str, ...],
+    task: SourceTask,
+    nominal: list[Network],
+    settings: Pretrain,
+    seed: int,
+) -> list[Network]:
+    """The identified models' priors: the nominal one's training goes on, which costs a tenth of a new one."""
+    outputs = [_modelled(Chart(model.robot(fit.identified), channels), task.readings) for fit in fits]
+    rows = [np.arange(len(task.readings))] * len(fits)
+    return train(
+        nominal,
+        task.readings,
+        outputs,
+        rows,
+        validation=settings.validation,
+        iterations=settings.continued,
+        seed=seed,
+    )[0]
+
+
+def _modelled(chart: Chart, readings: np.ndarray) -> np.ndarray:
+    return chart.of_tool(chart.robot.close(readings).require(lambda row: f"prior: pose {row}").pose)

@@ -9,18 +9,19 @@ from typing import Protocol
 import numpy as np
 
 from identification.error_model import BuiltRobot, ErrorModel
+from learning.correction import Correction
 from learning.network import Network
-from learning.residual import Correction
 from pipeline.charts import Chart
 from pipeline.goal import WHOLE, Goal
-from pipeline.results import Fit, Learned
+from pipeline.results import Corrected, Fit, Learned
 from urdf.kinematics import Closure, actuator_jacobian, forward, tool_coordinates
-from urdf.rigid_motion import Motion, wrap
+from urdf.rigid_motion import Motion, exp, log, wrap
 
 METHODS = ("nominal", "geometric", "network", "transfer", "transfer_identified", "hybrid")  # in the table's order
 _ITERATIONS = 30
 _REACHED = 1e-9  # of a tool coordinate or a joint [m, rad]
 _SETTLED = 1e-11  # of a network's input, of its range
+_STILL = 1e-12  # of an actuator [m, rad], between two steps
 
 
 class Method(Protocol):
@@ -40,14 +41,13 @@ class Method(Protocol):
 
 @dataclass(frozen=True)
 class ModelMethod:
-    """A model of the robot, with a correction of its actuators where there is one: W * forward(q + delta(q)) * T."""
+    """A model of the robot: W * forward(q) * T."""
 
     robot: BuiltRobot
-    correction: Correction | None = None
+    name: str = "geometric"
 
     def close(self, readings: np.ndarray) -> Closure:
-        joints = self.robot.actuators.joints(readings)
-        return forward(self.robot.chain, joints + self._delta(readings))
+        return forward(self.robot.chain, self.robot.actuators.joints(readings))
 
     def predict(self, readings: np.ndarray) -> Motion:
         closure = self.close(readings).require(lambda row: f"row {row + 1}")
@@ -56,21 +56,67 @@ class ModelMethod:
     def command(self, desired: Motion, channels: tuple[str, ...] = WHOLE) -> tuple[np.ndarray, np.ndarray]:
         chain, actuators = self.robot.chain, self.robot.actuators
         found, met = Goal.of(self.robot, desired, channels).solve()
-        wanted = found.q[:, chain.actuated]
-        readings = actuators.readings(wanted)
-        for _ in range(_ITERATIONS if self.correction else 0):
-            # q + delta(q) = q*: delta is small and smooth, so each step gains three digits
-            last, readings = readings, actuators.readings(wanted - self._delta(readings))
-            if np.max(np.abs(actuators.gain * (readings - last)), initial=0.0) < 1e-14:
-                break
+        readings = actuators.readings(found.q[:, chain.actuated])
         # There, and not on another assembly branch of the same actuators' values?
         closure, axes = self.close(readings), list(chain.tool_axes)
         apart = tool_coordinates(chain, closure.pose) - tool_coordinates(chain, found.pose)
         left = np.abs(wrap(apart)[:, axes]).max(axis=1)
         return readings, met & closure.closed & (left < _REACHED)
 
-    def _delta(self, readings: np.ndarray) -> np.ndarray:
-        return 0.0 * readings if self.correction is None else self.correction(readings)
+
+@dataclass(frozen=True)
+class HybridMethod:
+    """From the identified model towards the refined one with the actuators' correction, W * forward(q + delta(q)) * T.
+
+    All the way where the correction is believed; not at all, to the last bit, where it is not.
+    """
+
+    geometric: ModelMethod
+    refined: BuiltRobot
+    correction: Correction
+
+    def close(self, readings: np.ndarray) -> Closure:
+        """The refined model's configurations, with the correction."""
+        return forward(self.refined.chain, self.refined.actuators.joints(readings) + self.correction(readings))
+
+    def predict(self, readings: np.ndarray) -> Motion:
+        pose, share = self.geometric.predict(readings), self.correction.share(readings)
+        rows = np.flatnonzero(share > 0)
+        if not len(rows):
+            return pose
+        closure = self.close(readings[rows])
+        rows, q = rows[closure.closed], closure.pose[closure.closed]  # where it can't be closed it says nothing
+        corrected, alone, part = self.refined.measured(q), pose[rows], share[rows, None]
+        turned = alone.rotation @ exp(part * log(alone.rotation.swapaxes(1, 2) @ corrected.rotation))
+        moved = alone.translation + part * (corrected.translation - alone.translation)
+        rotation, translation = pose.rotation.copy(), pose.translation.copy()
+        rotation[rows], translation[rows] = turned, moved
+        return Motion(rotation, translation)
+
+    def command(self, desired: Motion, channels: tuple[str, ...] = WHOLE) -> tuple[np.ndarray, np.ndarray]:
+        """The geometric command of a goal that is moved by what the correction does there; each step gains digits."""
+        readings, met = self.geometric.command(desired, channels)
+        if self.correction.shrinkage == 0.0:
+            return readings, met
+        aim, gain = desired, self.refined.actuators.gain
+        still = np.zeros(len(readings), dtype=bool)
+        for _ in range(_ITERATIONS):
+            going = np.flatnonzero(met & ~still)
+            if not len(going):
+                break
+            here, alone = self.predict(readings[going]), self.geometric.predict(readings[going])
+            wanted = Goal.of(self.geometric.robot, desired[going], channels).filled(here)
+            # what geometry must be asked for, so that the prediction is what is wanted
+            aim = Motion(
+                wanted.rotation @ here.rotation.swapaxes(1, 2) @ alone.rotation,
+                wanted.translation + alone.translation - here.translation,
+            )
+            stepped, reached = self.geometric.command(aim, channels)
+            met[going] &= reached
+            step = np.abs(gain * (stepped - readings[going])).max(axis=1)
+            readings[going] = stepped
+            still[going] = step < _STILL
+        return readings, met & still
 
 
 @dataclass(frozen=True)
@@ -133,19 +179,23 @@ def _used(chart: Chart) -> list[int]:
     return [k for k, name in enumerate(names) if name in free or (name == "tilt" and turns)]
 
 
-def build(model: ErrorModel, fit: Fit, learned: Learned | None, channels: tuple[str, ...]) -> Mapping[str, Method]:
-    """{name: method} of one fit, in the table's order."""
+def build(
+    model: ErrorModel, fit: Fit, learned: Learned | None, corrected: Corrected | None, channels: tuple[str, ...]
+) -> Mapping[str, Method]:
+    """{name: method} of one fit, in the table's order; without the learned ones where they are not given."""
     nominal, identified = model.robot(fit.registered), model.robot(fit.identified)
-    found: dict[str, Method] = {"nominal": ModelMethod(nominal), "geometric": ModelMethod(identified)}
+    geometric = ModelMethod(identified)
+    found: dict[str, Method] = {"nominal": ModelMethod(nominal, "nominal"), "geometric": geometric}
     if learned is not None:
         as_drawn, as_built = Chart(nominal, channels), Chart(identified, channels)
         found["network"] = NetworkMethod(learned.network, as_drawn)
         found["transfer"] = NetworkMethod(learned.transfer, as_drawn)
         found["transfer_identified"] = NetworkMethod(learned.transfer_identified, as_built)
-        found["hybrid"] = ModelMethod(identified, learned.correction)
+    if corrected is not None:
+        found["hybrid"] = HybridMethod(geometric, model.robot(corrected.refined), corrected.correction)
     return found
 
 
 def uncalibrated(model: ErrorModel) -> Method:
     """The nominal robot with W = T = 1."""
-    return ModelMethod(model.robot(np.zeros(len(model.parameters))))
+    return ModelMethod(model.robot(np.zeros(len(model.parameters))), "nominal")

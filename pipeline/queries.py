@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -14,27 +14,53 @@ from identification.measurements import check_readings, quaternions, read_table,
 from pipeline.comparison import RAW, scores
 from pipeline.compensation import commands
 from pipeline.goal import Goal, parts
-from pipeline.methods import METHODS, Method, ModelMethod, build, uncalibrated
+from pipeline.methods import METHODS, HybridMethod, Method, ModelMethod, build, uncalibrated
 from pipeline.refit import refitted
-from pipeline.results import Comparison, Identified, Learned
+from pipeline.results import Comparison, Corrected, Identified, Learned
 from pipeline.runner import Run
+from pipeline.spread import pose_covariance, radius, seen_from, sigma
 from urdf.description import RobotDescription, nearest, read_columns
 from urdf.errors import InputError
 from urdf.rigid_motion import Motion
 from urdf.workspace import AXES
 
 
-def _calibrated(session: Run) -> tuple[ErrorModel, Identified, Learned]:
-    """The error model, the identification and what was learned from all measured poses."""
-    model, identified, transferred = session.until("model", "identify", "transfer")
+@dataclass(frozen=True)
+class _Calibrated:
+    """A robot with what was identified and learned from all measured poses."""
+
+    model: ErrorModel
+    identified: Identified
+    learned: Learned | None
+    corrected: Corrected | None
+
+    @property
+    def channels(self) -> tuple[str, ...]:
+        return self.identified.shipped.channels
+
+    def methods(self) -> Mapping[str, Method]:
+        return build(self.model, self.identified.fits()[0], self.learned, self.corrected, self.channels)
+
+
+def _calibrated(session: Run, method: str | None = None) -> _Calibrated:
+    """With the methods that `method` needs; None: all. Networks that nobody asks for are not trained."""
+    if method is not None and method not in METHODS:
+        raise InputError(f"--method {method}: no such method; {nearest(method, METHODS)}")
+    stages = {
+        "model": True,
+        "identify": True,
+        "transfer": method is None or "transfer" in method or method == "network",
+        "correct": method in (None, "geometric", "hybrid"),
+    }
+    wanted = [name for name, needed in stages.items() if needed]
+    found = dict(zip(wanted, session.until(*wanted), strict=True))
     description = session.robot.description
-    return ErrorModel.of(model.chain(), description.actuator, description.tolerance), identified, transferred.fits[0]
-
-
-def _method(methods: Mapping[str, Method], name: str) -> Method:
-    if name not in methods:
-        raise InputError(f"--method {name}: no such method; {nearest(name, METHODS)}")
-    return methods[name]
+    return _Calibrated(
+        ErrorModel.of(found["model"].chain(), description.actuator, description.tolerance),
+        found["identify"],
+        found["transfer"].fits[0] if "transfer" in found else None,
+        found["correct"].fits[0] if "correct" in found else None,
+    )
 
 
 def _read(session: Run, model: ErrorModel, file: Path, columns: Path | None, measured: bool) -> pd.DataFrame:
@@ -53,39 +79,51 @@ def _read(session: Run, model: ErrorModel, file: Path, columns: Path | None, mea
 def predicted_table(session: Run, file: Path, method: str) -> pd.DataFrame:
     """Poses (one row a row of `file`) as they would be measured: only what was measured can be predicted.
 
-    Sigmas are those of the identified parameters, about (along) each axis, root mean square of the three; they hold
-    for `geometric` and `hybrid`, and do not count what geometry can't explain.
+    With `geometric` and `hybrid`: sigmas of the robot's pose, about (along) each axis, root mean square over the axes,
+    and the radius of the region that holds it with 95 %, [rad] and [m]; an instrument's noise comes on top. `share` is
+    how much of the correction is believed there: 0 far outside the measured poses.
     """
-    model, identified, learned = _calibrated(session)
-    channels = identified.shipped.channels
-    chosen = _method(build(model, identified.fits()[0], learned, channels), method)
+    calibrated = _calibrated(session, method)
+    model, channels = calibrated.model, calibrated.channels
+    chosen = calibrated.methods()[method]
     table = _read(session, model, file, None, measured=False)
     readings = table[list(model.chain.actuated_names)].to_numpy(float)
-    numbers = table["pose"].to_numpy()
     pose = chosen.predict(readings)
-    turned = moved = np.full(len(numbers), np.nan)
-    if isinstance(chosen, ModelMethod) and method != "nominal":
-        jacobian = model.pose_jacobian(identified.shipped.change, readings, chosen.close(readings).q)
-        variance = np.einsum("nij,jk,nik->ni", jacobian, identified.shipped.covariance, jacobian)
-        turned, moved = np.sqrt(variance[:, :3].mean(axis=1)), np.sqrt(variance[:, 3:].mean(axis=1))
-    columns: dict[str, np.ndarray] = {"pose": numbers}
     r = pose.rotation
+    turned = moved = None
+    if calibrated.corrected is not None:
+        assert isinstance(chosen, ModelMethod | HybridMethod)
+        fit = calibrated.identified.fits()[0]
+        covariance = pose_covariance(model, fit, calibrated.corrected, chosen, readings)
+        turned, moved = covariance[:, :3, :3], covariance[:, 3:, 3:]
+    columns: dict[str, np.ndarray] = {"pose": table["pose"].to_numpy()}
     if "orientation" in channels:
-        columns |= dict(zip(("qx", "qy", "qz", "qw"), quaternions(r).T, strict=True)) | {"orientation_std": turned}
+        columns |= dict(zip(("qx", "qy", "qz", "qw"), quaternions(r).T, strict=True)) | _sure("orientation", turned)
     if "position" in channels:
-        columns |= dict(zip("xyz", pose.translation.T, strict=True)) | {"position_std": moved}
+        columns |= dict(zip("xyz", pose.translation.T, strict=True)) | _sure("position", moved)
     if "tilt" in channels:
-        columns |= {"roll": np.arctan2(r[:, 2, 1], r[:, 2, 2]), "pitch": -np.arcsin(r[:, 2, 0]), "tilt_std": turned}
+        columns |= {"roll": np.arctan2(r[:, 2, 1], r[:, 2, 2]), "pitch": -np.arcsin(r[:, 2, 0])}
+        columns |= _sure("tilt", None if turned is None else seen_from(turned, r[:, 2]), axes=2)
     if "yaw" in channels:
-        columns |= {"yaw": np.arctan2(r[:, 1, 0], r[:, 0, 0]), "yaw_std": turned}
-    return pd.DataFrame(columns).dropna(axis="columns", how="all")
+        up = r[:, 2, :, None]
+        columns |= {"yaw": np.arctan2(r[:, 1, 0], r[:, 0, 0])}
+        columns |= _sure("yaw", None if turned is None else up.swapaxes(1, 2) @ turned @ up, axes=1)
+    if isinstance(chosen, HybridMethod):
+        columns["share"] = chosen.correction.share(readings)
+    return pd.DataFrame(columns)
+
+
+def _sure(what: str, covariance: np.ndarray | None, axes: int = 3) -> dict[str, np.ndarray]:
+    if covariance is None:
+        return {}
+    return {f"{what}_std": sigma(covariance, axes), f"{what}_95": radius(covariance)}
 
 
 def compensated_table(session: Run, file: Path, method: str) -> pd.DataFrame:
     """The actuators' readings that reach the poses of `file` (a measurement table without joints), one row a pose."""
-    model, identified, learned = _calibrated(session)
-    channels = identified.shipped.channels
-    chosen = _method(build(model, identified.fits()[0], learned, channels), method)
+    calibrated = _calibrated(session, method)
+    model, identified = calibrated.model, calibrated.identified
+    chosen = calibrated.methods()[method]
     description = session.robot.description
     settings = description.measure.model_copy(update={"columns": {}})
     desired, known, numbers = _desired(read_table(file, (), settings), model, identified, description, file)
@@ -128,10 +166,11 @@ def evaluated(session: Run, file: Path, columns: Path | None, *, register: bool,
     register: W is first refitted alone; rehome: the actuators' zeros are. Each method is refitted by its own
     predictions of the table's own poses.
     """
-    model, identified, learned = _calibrated(session)
+    calibrated = _calibrated(session)
+    model, identified = calibrated.model, calibrated.identified
     table = _read(session, model, file, columns, measured=True)
     measured = to_measurements(table, model.chain.actuated_names, session.robot.description.sensor)
-    methods = dict(build(model, identified.fits()[0], learned, identified.shipped.channels))
+    methods = dict(calibrated.methods())
     if register or rehome:
         methods = {name: refitted(method, measured, register, rehome) for name, method in methods.items()}
     actual, channels = measured.as_poses(), measured.channels

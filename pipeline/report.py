@@ -16,8 +16,18 @@ from matplotlib.figure import Figure
 from identification.identification import Identification
 from pipeline.fingerprint import ROOT
 from pipeline.identification_figures import BLUE, GREY, RED, STYLE, changes, singular_values
-from pipeline.results import Comparison, Filtered, Identified, Learned, Model, Pretrained, Transferred
-from pipeline.tables import collinear_lines, comparison_tables, parameter_table
+from pipeline.results import (
+    Comparison,
+    Filtered,
+    Hybrids,
+    Identified,
+    Learned,
+    Model,
+    Pretrained,
+    SiblingResiduals,
+    Transferred,
+)
+from pipeline.tables import collinear_lines, comparison_tables, parameter_table, wave_table
 
 
 def page(
@@ -26,6 +36,8 @@ def page(
     identified: Identified,
     pretrained: Pretrained,
     transferred: Transferred,
+    siblings: SiblingResiduals,
+    hybrids: Hybrids,
     compared: Comparison,
 ) -> str:
     """The whole report of one robot."""
@@ -38,13 +50,14 @@ def page(
             "singular_values": _drawn(singular_values, identified.shipped, 3.0),
             "changes": _drawn(changes, identified.shipped, 3.0),
             "residuals": _residuals(identified),
-            "training": _training(pretrained, transferred.fits[0]),
+            "training": _training(pretrained, transferred.fits[0], siblings),
         }
     return environment.get_template("report.html").render(
         model=model,
         filtered=filtered,
         pretrained=pretrained,
-        learned=transferred.fits[0],
+        corrected=hybrids.fits[0],
+        waves=wave_table(hybrids.fits[0].correction, model),
         shipped=identified.shipped,
         compared=compared,
         comparison=comparison_tables(compared.methods, compared.raw_nominal),
@@ -94,15 +107,16 @@ def _methods(compared: Comparison) -> Markup:
     return _svg(figure)
 
 
-def _training(pretrained: Pretrained, learned: Learned) -> Markup:
-    """Training (full) and validation (dashed) loss; the source task, then the measured poses."""
-    figure = Figure(figsize=(6.4, 2.8), layout="constrained")
-    left, right = figure.subplots(1, 2, sharey=True)
+def _training(pretrained: Pretrained, learned: Learned, siblings: SiblingResiduals) -> Markup:
+    """Training (full) and validation (dashed) loss; the source task, the measured poses, the siblings' residuals."""
+    figure = Figure(figsize=(9.0, 2.8), layout="constrained")
+    left, right, other = figure.subplots(1, 3, sharey=True)
     half = learned.curve.shape[1] // 2
     names = ("network", "transfer", "transfer_identified")
     curves: tuple[tuple[Any, str, np.ndarray, np.ndarray, tuple[str, ...]], ...] = (
         (left, "pre-training", pretrained.curve[:, :1], pretrained.curve[:, 1:], ("source task",)),
         (right, "measured poses", learned.curve[:, :half], learned.curve[:, half:], names),
+        (other, "virtual siblings", siblings.curve[:, :1], siblings.curve[:, 1:], ("residuals",)),
     )
     for axes, title, train, held, labels in curves:
         for k, (name, colour) in enumerate(zip(labels, (BLUE, RED, GREY), strict=False)):

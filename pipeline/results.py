@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from identification.identification import Identification
+from learning.correction import Correction
 from learning.network import Network
-from learning.residual import Correction
+from learning.units import Inherited
 from urdf.description import Mechanism, VirtualErrors
 
 if TYPE_CHECKING:
@@ -72,6 +73,7 @@ class Truth:
 
     p: np.ndarray  # (n_parameters,) true changes from nominal, W and T included
     phase: np.ndarray  # (n_actuated,) of its screw or gear errors [rad]
+    growth_sign: np.ndarray  # (n_actuated,) -1 or 1: whether it lengthens or shortens in the warmth
     errors: VirtualErrors
 
 
@@ -120,35 +122,57 @@ class Identified:
 
 @dataclass(frozen=True)
 class SourceTask:
-    """The poses that networks are pre-trained on."""
+    """The poses that networks are pre-trained on, and what the nominal model says there in each fit's chart."""
 
     readings: np.ndarray  # (n, n_actuated)
+    outputs: tuple[np.ndarray, ...]  # (n, n_out); each once: the chart depends on the fit for tilt alone
+    of_fit: tuple[int, ...]  # which of them, one a fit
 
 
 @dataclass(frozen=True)
 class Pretrained:
-    """Networks before they have seen a measured pose; one a fit."""
+    """Networks before they have seen a measured pose."""
 
     start: Network  # random
-    nominal: tuple[Network, ...]  # the source task by the nominal model
-    identified: tuple[Network, ...]  # by the identified one
+    nominal: tuple[Network, ...]  # one each of SourceTask.outputs
     curve: np.ndarray  # (iterations, 2) training and validation loss
 
 
 @dataclass(frozen=True)
 class Learned:
-    """What was learned from one fit's measured poses."""
+    """What the paper's networks learned from one fit's measured poses."""
 
     network: Network  # from a random start: the paper's BP network
     transfer: Network  # from the nominal model's prior: the paper's transfer network
     transfer_identified: Network  # from the identified model's prior
-    correction: Correction  # of the actuators, through the identified model
     curve: np.ndarray  # (iterations, 6) training, then validation losses of the three networks
 
 
 @dataclass(frozen=True)
 class Transferred:
     fits: tuple[Learned, ...]  # in the order of Identified.fits
+
+
+@dataclass(frozen=True)
+class SiblingResiduals:
+    """What residuals of such a robot look like."""
+
+    inherited: Inherited
+    curve: np.ndarray  # (iterations, 2) training loss, and NaN
+
+
+@dataclass(frozen=True)
+class Corrected:
+    """What geometry can't explain of one fit's measured poses."""
+
+    refined: np.ndarray  # (n_parameters,) changes of the geometry, identified together with the correction
+    correction: Correction  # of the actuators
+    learning_curve: np.ndarray  # (sizes, 3) poses, and the errors of unseen ones: see learning.residual
+
+
+@dataclass(frozen=True)
+class Hybrids:
+    fits: tuple[Corrected, ...]  # in the order of Identified.fits
 
 
 @dataclass(frozen=True)
@@ -161,6 +185,20 @@ class MethodScore:
     mean_mm: float | None
     max_mm: float | None
     sd_mm: float | None
+
+
+@dataclass(frozen=True)
+class Advice:
+    """Which method to take, what to expect of it, and whether more poses would pay."""
+
+    method: str
+    expected_deg: float | None  # mean error of a pose that was not measured, the instruments' noise apart
+    expected_mm: float | None
+    n_poses: int
+    n_more: int | None  # poses in all that would pay; None: more don't
+    expected_more_deg: float | None  # with them
+    expected_more_mm: float | None
+    text: str
 
 
 @dataclass(frozen=True)
@@ -187,6 +225,7 @@ class Comparison:
     raw_nominal: MethodScore  # the nominal robot with W = T = 1
     closed_loop: tuple[MethodScore, ...]  # after compensation: reached against desired poses (virtual robots)
     not_reached: dict[str, int]  # poses that a method had no command for
+    advice: Advice | None = None  # of `run` and `compare`
 
 
 @dataclass(frozen=True)

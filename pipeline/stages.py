@@ -15,18 +15,21 @@ from pipeline.results import (
     Filtered,
     Fit,
     Html,
+    Hybrids,
     Identified,
     Measured,
     Model,
     PosePlan,
     Pretrained,
     Report,
+    SiblingResiduals,
     SourceTask,
     Transferred,
     Urdf,
 )
 from urdf.description import (
     Actuator,
+    Correct,
     Evaluate,
     Filter,
     Identify,
@@ -37,6 +40,7 @@ from urdf.description import (
     Pretrain,
     Prior,
     Sensor,
+    Siblings,
     Split,
     Tolerance,
     Transfer,
@@ -47,6 +51,7 @@ if TYPE_CHECKING:
 
     from identification.error_model import ErrorModel
     from identification.measurements import Measurements
+    from urdf.closed_chain import ClosedChain
 
 
 def model(mechanism: Mechanism, urdf: Path) -> Model:
@@ -127,12 +132,15 @@ def measure(
         return Measured((measure.streams or measure.table).name, table, stream, None)
     truth = draw(nominal, measure.errors, seed)
     readings = plan.table[list(chain.actuated_names)].to_numpy()
-    pose = VirtualRobot.of(nominal, truth).pose(readings)
+    robot = VirtualRobot.of(nominal, truth)
+    pose, cross_axis = robot.pose(readings, robot.campaign(readings)), measure.errors.cross_axis
     channels = measure.channels or default_channels(chain.tool_axes)
     # a stream is an inclinometer's: a heading without tilt comes as one reading a pose
     streamed = tuple(c for c in channels if c in ("tilt", "yaw")) if measure.stream and "tilt" in channels else ()
-    columns = sense(pose, tuple(c for c in channels if c not in streamed), sensor, seed)
-    stream = stream_of(pose, streamed, sensor, measure.stream, seed) if measure.stream and streamed else None
+    columns = sense(pose, tuple(c for c in channels if c not in streamed), sensor, seed, cross_axis)
+    stream = None
+    if measure.stream and streamed:
+        stream = stream_of(pose, streamed, sensor, measure.stream, seed, cross_axis)
     return Measured("virtual", to_table(chain.actuated_names, readings, columns), stream, truth)
 
 
@@ -163,13 +171,12 @@ def identify(
     from identification.diagnosis import registered as register
     from identification.error_model import ErrorModel
     from identification.estimators import identify as estimate
-    from identification.measurements import to_measurements
     from identification.poses import folds, held_out
     from identification.summary import summarise
 
     chain = model.chain()
     errors = ErrorModel.of(chain, actuator, tolerance)
-    poses = to_measurements(filtered.table, chain.actuated_names, sensor)
+    poses = _used(filtered, chain, sensor, split, seed)
     parts = () if measured.truth is not None else folds(len(poses), split, seed)
     test = held_out(len(poses), split, seed)
     registered = register(errors, poses, identify.max_iterations)
@@ -184,63 +191,104 @@ def identify(
     )
 
 
-def prior(model: Model, prior: Prior, actuator: dict[str, Actuator], seed: int) -> SourceTask:
-    """The poses of the source task: a uniform grid up to three axes, as in the paper; else evenly spread ones."""
+def prior(
+    model: Model,
+    identified: Identified,
+    prior: Prior,
+    pretrain: Pretrain,
+    tolerance: Tolerance,
+    actuator: dict[str, Actuator],
+    seed: int,
+) -> SourceTask:
+    """The source task: a uniform grid up to three axes, as in the paper, else evenly spread poses; all nominal."""
+    from identification.error_model import ErrorModel
     from identification.poses import planned
-    from urdf.actuators import Actuators
+    from pipeline.learn import source_task
     from urdf.kinematics import inverse
 
     chain = model.chain()
+    errors = ErrorModel.of(chain, actuator, tolerance)
     u = planned(model.mechanism.workspace, chain.tool_axes, Plan(poses=prior.poses), seed)
     closure = inverse(chain, u).require(lambda row: f"prior: pose {row}")
-    return SourceTask(Actuators.nominal(chain, actuator).readings(closure.q[:, chain.actuated]))
+    return source_task(errors, errors.actuators.readings(closure.q[:, chain.actuated]), identified, pretrain)
 
 
-def pretrain(
-    model: Model,
-    task: SourceTask,
-    identified: Identified,
-    tolerance: Tolerance,
-    actuator: dict[str, Actuator],
-    pretrain: Pretrain,
-    seed: int,
-) -> Pretrained:
-    """Networks trained on the source task, by the nominal and by the identified model."""
-    from identification.error_model import ErrorModel
+def pretrain(task: SourceTask, pretrain: Pretrain, seed: int) -> Pretrained:
+    """Networks trained on the source task: the paper's prior."""
     from pipeline.learn import pretrained
 
-    errors = ErrorModel.of(model.chain(), actuator, tolerance)
-    shipped = identified.shipped
-    return pretrained(errors, task.readings, identified.fits(), shipped.channels, shipped.n_poses, pretrain, seed)
+    return pretrained(task, pretrain, seed)
 
 
 def transfer(
     model: Model,
     filtered: Filtered,
     identified: Identified,
+    task: SourceTask,
     pretrained: Pretrained,
     sensor: Sensor,
     tolerance: Tolerance,
     actuator: dict[str, Actuator],
     split: Split,
+    pretrain: Pretrain,
     transfer: Transfer,
     seed: int,
 ) -> Transferred:
-    """Networks fine-tuned on measured poses, and the correction of the actuators."""
+    """The paper's networks, fine-tuned on measured poses; and the same from the identified model's prior."""
     from identification.error_model import ErrorModel
-    from identification.measurements import to_measurements
     from pipeline.learn import learned
 
     chain = model.chain()
     errors = ErrorModel.of(chain, actuator, tolerance)
-    poses = to_measurements(filtered.table, chain.actuated_names, sensor)
-    poses = poses.scaled(identified.shipped.sensor_estimated)
-    starts = zip(identified.fits(), pretrained.nominal, pretrained.identified, strict=True)
-    return Transferred(
-        tuple(
-            learned(errors, poses, fit, (pretrained.start, nominal, built), transfer, split, seed)
-            for fit, nominal, built in starts
-        )
+    poses = _used(filtered, chain, sensor, split, seed)
+    return Transferred(learned(errors, poses, identified, task, pretrained, pretrain, transfer, seed))
+
+
+def siblings(model: Model, siblings: Siblings, tolerance: Tolerance, actuator: dict[str, Actuator]) -> SiblingResiduals:
+    """What geometry does not explain of virtual robots of this design, learned once for all that are built."""
+    from identification.error_model import ErrorModel
+    from identification.poses import planned
+    from learning.inherit import inherit
+    from pipeline.siblings import residuals
+    from urdf.kinematics import inverse
+
+    chain = model.chain()
+    errors = ErrorModel.of(chain, actuator, tolerance)
+    plan = Plan(poses=siblings.poses, layout="random")
+    u = planned(model.mechanism.workspace, chain.tool_axes, plan, siblings.seed)
+    closure = inverse(chain, u).require(lambda row: f"siblings: pose {row}")
+    inherited, curve = inherit(
+        errors.actuators.readings(closure.q[:, chain.actuated]),
+        residuals(chain, closure.q, siblings.count, siblings.seed),
+        hidden=siblings.hidden,
+        iterations=siblings.iterations,
+        seed=siblings.seed,
+    )
+    return SiblingResiduals(inherited, curve)
+
+
+def correct(
+    model: Model,
+    filtered: Filtered,
+    identified: Identified,
+    siblings: SiblingResiduals,
+    sensor: Sensor,
+    tolerance: Tolerance,
+    actuator: dict[str, Actuator],
+    split: Split,
+    correct: Correct,
+    seed: int,
+) -> Hybrids:
+    """The residual network of the actuators, and the geometry refined beside it."""
+    from identification.error_model import ErrorModel
+    from pipeline.correct import corrected
+
+    chain = model.chain()
+    errors = ErrorModel.of(chain, actuator, tolerance)
+    poses = _used(filtered, chain, sensor, split, seed).scaled(identified.shipped.sensor_estimated)
+    inherited = siblings.inherited
+    return Hybrids(
+        tuple(corrected(errors, poses, fit, inherited, correct, seed) for fit in identified.fits())
     )
 
 
@@ -249,6 +297,7 @@ def compensate(
     measured: Measured,
     identified: Identified,
     transferred: Transferred,
+    hybrids: Hybrids,
     tolerance: Tolerance,
     actuator: dict[str, Actuator],
     evaluate: Evaluate,
@@ -274,17 +323,18 @@ def compensate(
     chain = model.chain()
     errors = ErrorModel.of(chain, actuator, tolerance)
     channels = identified.shipped.channels
-    methods = build(errors, identified.fits()[0], transferred.fits[0], channels)
+    methods = build(errors, identified.fits()[0], transferred.fits[0], hybrids.fits[0], channels)
     u = _inner(model, evaluate.fresh_poses, seed)
     closure = inverse(chain, u).require(lambda row: f"compensate: desired pose {row}")
     robot = VirtualRobot.of(errors, measured.truth)
-    actual = robot.pose(errors.actuators.readings(closure.q[:, chain.actuated]))
+    readings = errors.actuators.readings(closure.q[:, chain.actuated])
+    actual = robot.pose(readings, robot.after_campaign(readings))
     drawn = errors.robot(identified.registered)  # what was not measured can't be desired otherwise than as drawn
     desired = Goal(drawn, actual, parts(channels)).filled(drawn.measured(closure.pose))
     scores, reached = [], {}
     for name, method in methods.items():  # a network that has seen few poses may have no answer for some
         tried = attempt(method, desired, chain, errors.actuators, channels)
-        there = robot.close(tried.readings)
+        there = robot.close(tried.readings, robot.after_campaign(tried.readings))
         rows = np.flatnonzero(tried.good(chain, model.mechanism.workspace) & there.closed)
         reached[name] = len(rows)
         if len(rows):
@@ -299,27 +349,28 @@ def evaluate(
     filtered: Filtered,
     identified: Identified,
     transferred: Transferred,
+    hybrids: Hybrids,
     compensated: Compensated,
     sensor: Sensor,
     tolerance: Tolerance,
     actuator: dict[str, Actuator],
+    split: Split,
     evaluate: Evaluate,
     name: str,
     seed: int,
 ) -> Comparison:
     """The methods side by side, on poses that none of them has seen."""
     from identification.error_model import ErrorModel
-    from identification.measurements import to_measurements
+    from pipeline.advice import advise
     from pipeline.comparison import RAW, cross_validated, scores
     from pipeline.methods import build, uncalibrated
 
     chain = model.chain()
     errors = ErrorModel.of(chain, actuator, tolerance)
-    poses = to_measurements(filtered.table, chain.actuated_names, sensor)
+    poses = _used(filtered, chain, sensor, split, seed)
     channels = poses.channels
-    fits = [
-        (fit, build(errors, fit, own, channels)) for fit, own in zip(identified.fits(), transferred.fits, strict=True)
-    ]
+    parts = zip(identified.fits(), transferred.fits, hybrids.fits, strict=True)
+    fits = [(fit, build(errors, fit, learned, own, channels)) for fit, learned, own in parts]
     held_out, by_held_out = fits[1]
     test = poses[held_out.test]
     if measured.truth is None:
@@ -342,6 +393,7 @@ def evaluate(
         not_reached={
             name: compensated.n_poses - n for name, n in compensated.reached.items() if n < compensated.n_poses
         },
+        advice=advise(errors, fits[0][0], hybrids.fits[0], fits[0][1], methods, poses.readings, channels),
     )
 
 
@@ -351,12 +403,23 @@ def report(
     identified: Identified,
     pretrained: Pretrained,
     transferred: Transferred,
+    siblings: SiblingResiduals,
+    hybrids: Hybrids,
     compared: Comparison,
 ) -> Report:
     """A page to sign: comparison, parameters, singular values, residuals, training."""
     from pipeline.report import page
 
-    return Report(Html(page(model, filtered, identified, pretrained, transferred, compared)))
+    return Report(Html(page(model, filtered, identified, pretrained, transferred, siblings, hybrids, compared)))
+
+
+def _used(filtered: Filtered, chain: ClosedChain, sensor: Sensor, split: Split, seed: int) -> Measurements:
+    """The measured poses, or as many of them as [split] asks for."""
+    from identification.measurements import to_measurements
+    from identification.poses import chosen
+
+    poses = to_measurements(filtered.table, chain.actuated_names, sensor)
+    return poses if split.poses is None else poses[chosen(len(poses), split.poses, seed)]
 
 
 def _fit(errors: ErrorModel, poses: Measurements, test: np.ndarray, settings: Identify) -> Fit:
@@ -371,7 +434,7 @@ def _fit(errors: ErrorModel, poses: Measurements, test: np.ndarray, settings: Id
 
 
 def _fresh(model: Model, errors: ErrorModel, truth, n: int, seed: int):
-    """Random poses of the workspace, and where the virtual robot really goes there, without noise."""
+    """Random poses of the workspace, and where the virtual robot really goes there, without noise: warm, one by one."""
     import numpy as np
 
     from identification.measurements import Measurements
@@ -383,7 +446,8 @@ def _fresh(model: Model, errors: ErrorModel, truth, n: int, seed: int):
     u = sample(model.mechanism.workspace, chain.tool_axes, n, [seed, 5])
     closure = inverse(chain, u).require(lambda row: f"evaluate: fresh pose {row}")
     readings = errors.actuators.readings(closure.q[:, chain.actuated])
-    return Measurements(np.arange(n), readings), VirtualRobot.of(errors, truth).pose(readings)
+    robot = VirtualRobot.of(errors, truth)
+    return Measurements(np.arange(n), readings), robot.pose(readings, robot.after_campaign(readings))
 
 
 def _inner(model: Model, n: int, seed: int) -> np.ndarray:
@@ -402,7 +466,9 @@ STAGES = {
     identify: ("numpy", "scipy", "casadi"),
     prior: ("numpy", "scipy"),
     pretrain: ("numpy", "torch"),
-    transfer: ("numpy", "casadi", "torch"),
+    transfer: ("numpy", "torch"),
+    siblings: ("numpy", "torch"),
+    correct: ("numpy", "scipy", "casadi"),
     compensate: ("numpy",),
     evaluate: ("numpy", "scipy"),
     report: ("jinja2", "matplotlib"),

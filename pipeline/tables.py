@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 
 from identification.identification import HUMAN, Identification
-from pipeline.results import MethodScore
+from learning.correction import Correction
+from pipeline.results import MethodScore, Model
 
 _CONDITION_INDEX, _PROPORTION, _INFLATION = 30.0, 0.5, 10.0  # Belsley, Kuh, Welsch 1980: worth a word beyond
 _Z95 = 1.959964  # of a normal distribution: 95 % lie within
@@ -40,6 +41,17 @@ def comparison_tables(methods: Sequence[MethodScore], raw: MethodScore | None = 
 
 def _by_method(rows: Sequence[MethodScore], columns: tuple[str, ...], cells: Iterable[list[str]]) -> Table:
     return Table(("method", *columns), tuple((r.name, *line) for r, line in zip(rows, cells, strict=True)))
+
+
+def wave_table(correction: Correction, model: Model) -> Table:
+    """One row a periodic error of an actuator, the largest first; periods in its readings."""
+    chain = model.chain()
+    rows = []
+    for joint, period, amplitude in correction.waves():
+        sliding = chain.prismatic[chain.actuated[joint]]
+        unit, factor = HUMAN["m" if sliding else "rad"]
+        rows.append((chain.actuated_names[joint], f"{period:.4g}", f"{amplitude * factor:.2g} {unit}"))
+    return Table(("actuator", "period [reading]", "amplitude"), tuple(rows))
 
 
 def parameter_table(found: Identification) -> Table:

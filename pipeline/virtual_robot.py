@@ -1,7 +1,7 @@
 """A robot with known errors that measures itself.
 
-Geometric errors are drawn from the tolerances, on every placement and actuator; W and T are off by a degree. Legs give
-under a payload, actuators have screw (or gear) errors; both shift the actuated joints, the loops stay closed.
+Geometric errors are drawn from the tolerances, on every placement and actuator; W and T are off by a degree. All
+others (virtual_errors.py) shift the actuated joints, and the loops stay closed; its instruments add their own.
 """
 
 from __future__ import annotations
@@ -14,7 +14,9 @@ import pandas as pd
 from identification.error_model import BuiltRobot, ErrorModel
 from identification.measurements import default_channels as default_channels
 from identification.measurements import quaternions
+from pipeline import virtual_errors as terms
 from pipeline.results import Truth
+from pipeline.virtual_errors import Circumstances
 from urdf.description import Sensor, Stream, VirtualErrors
 from urdf.kinematics import Closure, forward, passive_rates, tool_point_jacobian
 from urdf.rigid_motion import Motion, exp
@@ -37,7 +39,9 @@ def draw(model: ErrorModel, errors: VirtualErrors, seed: int) -> Truth:
         ):
             direction = random.normal(size=3)
             frame[part] = size * direction / np.linalg.norm(direction)
-    return Truth(p, random.uniform(0, 2 * np.pi, len(model.actuators.gain)), errors)
+    k = len(model.actuators.gain)
+    sign = np.random.default_rng([seed, 20]).choice([-1.0, 1.0], k)  # a generator of its own leaves the other draws be
+    return Truth(p, random.uniform(0, 2 * np.pi, k), sign, errors)
 
 
 @dataclass(frozen=True)
@@ -47,87 +51,109 @@ class VirtualRobot:
     robot: BuiltRobot
     truth: Truth
     home: np.ndarray  # (n_actuated,) nominal joint values at home
+    home_readings: np.ndarray  # (n_actuated,) the readings that the drawing has there
 
     @staticmethod
     def of(model: ErrorModel, truth: Truth) -> VirtualRobot:
-        return VirtualRobot(model.robot(truth.p), truth, model.chain.home[model.chain.actuated])
+        home = model.chain.home[model.chain.actuated]
+        return VirtualRobot(model.robot(truth.p), truth, home, model.actuators.readings(home))
 
-    def close(self, readings: np.ndarray) -> Closure:
-        """The true configurations at the actuators' readings (n, n_actuated), and whether the robot can be there."""
-        chain, errors = self.robot.chain, self.truth.errors
-        commanded = self.robot.actuators.joints(readings)
+    def campaign(self, readings: np.ndarray) -> Circumstances:
+        """Readings (n, n_actuated) that are measured one after the other, from home: the robot warms up."""
+        return Circumstances(self._approaches(readings), terms.warming_up(len(readings)))
+
+    def after_campaign(self, readings: np.ndarray) -> Circumstances:
+        """Readings (n, n_actuated) that follow each other, from home, on the robot as the campaign left it: warm."""
+        return Circumstances(self._approaches(readings), np.ones(len(readings)))
+
+    def close(self, readings: np.ndarray, circumstances: Circumstances | None = None) -> Closure:
+        """The true configurations at the actuators' readings (n, n_actuated), and whether the robot can be there.
+
+        circumstances: of the same n readings; None: cold, and every backlash in its middle.
+        """
+        chain, errors, sliding = self.robot.chain, self.truth.errors, self._sliding
+        joints = self.robot.actuators.joints(readings)
         if errors.screw:
-            commanded = commanded + self._screw(commanded)
-        closure = forward(chain, commanded)
+            joints = joints + terms.screw(errors, sliding, joints, self.home, self.truth.phase)
+        if circumstances is not None:
+            joints = joints + terms.backlash(errors, sliding, circumstances.approach)
+            joints = joints + terms.thermal_growth(errors, sliding, self.truth.growth_sign, circumstances.warmth)
+        closure = forward(chain, joints)
         rows = np.flatnonzero(closure.closed)
-        if errors.elastic and len(rows):
+        if not len(rows):
+            return closure
+        if errors.clearance_mm or errors.clearance_deg:
+            # by the load before the shift: near zero load, a sign that followed its own shift would not settle
+            joints[rows] += terms.clearance(errors, sliding, self.load(closure.q[rows]))
+            closure = closure.replaced(rows, forward(chain, joints[rows], closure.q[rows]))
+        if errors.elastic:
             for _ in range(_SETTLING):
-                loaded = forward(chain, commanded[rows] + self._deflection(closure.q[rows]), closure.q[rows])
-                closure = closure.replaced(rows, loaded)
+                deflection = terms.deflection(errors, sliding, self.load(closure.q[rows]))
+                closure = closure.replaced(rows, forward(chain, joints[rows] + deflection, closure.q[rows]))
         return closure
 
-    def pose(self, readings: np.ndarray) -> Motion:
+    def pose(self, readings: np.ndarray, circumstances: Circumstances | None = None) -> Motion:
         """The true poses (n) in the measurement frame at the actuators' readings (n, n_actuated)."""
-        closure = self.close(readings).require(lambda row: f"virtual robot: readings of row {row}")
+        closure = self.close(readings, circumstances).require(lambda row: f"virtual robot: readings of row {row}")
         return self.robot.measured(closure.pose)
 
-    def _screw(self, joints: np.ndarray) -> np.ndarray:
-        """A periodic and a quadratic error of each actuator [m or rad]."""
-        errors, sliding = self.truth.errors, self.robot.chain.prismatic[self.robot.chain.actuated]
-        amplitude = np.where(sliding, errors.screw_amplitude_mm * 1e-3, np.deg2rad(errors.gear_amplitude_deg))
-        period = np.where(sliding, errors.screw_period_mm * 1e-3, np.deg2rad(errors.gear_period_deg))
-        quadratic = np.where(sliding, errors.screw_quadratic_per_m, errors.gear_quadratic_per_rad)
-        return (
-            amplitude * np.sin(2 * np.pi * joints / period + self.truth.phase) + quadratic * (joints - self.home) ** 2
-        )
-
-    def _deflection(self, q: np.ndarray) -> np.ndarray:
-        """How far each actuator gives under the payload's weight, by virtual work: -m g (dz / dq) / stiffness."""
+    def load(self, q: np.ndarray) -> np.ndarray:
+        """(n, n_actuated) [N, N m]: what the payload's weight puts on each actuator, by virtual work: -m g dz / dq."""
         chain, errors = self.robot.chain, self.truth.errors
         up = chain.base.rotation @ self.robot.instrument.rotation.T[:, 2]  # vertical is the instrument's z
         centre = np.array(errors.payload_centre_mm) * 1e-3
         height = np.einsum("i,nij,njk->nk", up, tool_point_jacobian(chain, q, centre), passive_rates(chain, q))
-        sliding = chain.prismatic[chain.actuated]
-        stiffness = np.where(sliding, errors.stiffness_n_per_m, errors.stiffness_nm_per_rad)
-        return -errors.payload_kg * GRAVITY * height / stiffness
+        return -errors.payload_kg * GRAVITY * height
+
+    def _approaches(self, readings: np.ndarray) -> np.ndarray:
+        joints = self.robot.actuators.joints
+        return terms.approaches(joints(readings), joints(self.home_readings))
+
+    @property
+    def _sliding(self) -> np.ndarray:
+        return self.robot.chain.prismatic[self.robot.chain.actuated]
 
 
-def stream_of(pose: Motion, channels: tuple[str, ...], sensor: Sensor, stream: Stream, seed: int) -> pd.DataFrame:
-    """Raw samples of an inclinometer (and a heading reference) on true poses (n): noise, outliers, dropouts."""
+def stream_of(
+    pose: Motion, channels: tuple[str, ...], sensor: Sensor, stream: Stream, seed: int, cross_axis: float = 0.0
+) -> pd.DataFrame:
+    """Raw samples of an inclinometer (and a heading reference) on true poses (n): noise, outliers, dropouts.
+
+    cross_axis: how much of one angle its axes read into another.
+    """
     random = np.random.default_rng([seed, 10])
     n, per_pose = len(pose.translation), max(1, round(stream.rate_hz * stream.seconds))
     count = n * per_pose
-    r = np.repeat(pose.rotation, per_pose, axis=0)
-    true = {"roll": np.arctan2(r[:, 2, 1], r[:, 2, 2]), "pitch": -np.arcsin(r[:, 2, 0])}
-    if "yaw" in channels:
-        true["yaw"] = np.arctan2(r[:, 1, 0], r[:, 0, 0])
+    read = terms.read_angles(np.repeat(pose.rotation, per_pose, axis=0), cross_axis)
     columns = {"t": np.arange(count) / stream.rate_hz, "pose": np.repeat(np.arange(n), per_pose)}
     outlier = {"tilt": random.random(count) < stream.outliers, "yaw": random.random(count) < stream.outliers}
-    for name, values in true.items():
+    for name in ("roll", "pitch", "yaw") if "yaw" in channels else ("roll", "pitch"):
         kind = "yaw" if name == "yaw" else "tilt"
         noise = sensor.sigma("yaw" if kind == "yaw" else "tilt") * random.normal(size=count)
         wrong = np.deg2rad(stream.outlier_deg) * random.choice([-1.0, 1.0], count)
-        columns[name] = values + noise + np.where(outlier[kind], wrong, 0.0)
+        columns[name] = read[name] + noise + np.where(outlier[kind], wrong, 0.0)
     came = random.random(count) >= stream.dropouts
     return pd.DataFrame({name: values[came] for name, values in columns.items()})
 
 
-def measure(pose: Motion, channels: tuple[str, ...], sensor: Sensor, seed: int) -> dict[str, np.ndarray]:
-    """Columns of a measurement table: true poses (n) with each sensor's noise."""
+def measure(
+    pose: Motion, channels: tuple[str, ...], sensor: Sensor, seed: int, cross_axis: float = 0.0
+) -> dict[str, np.ndarray]:
+    """Columns of a measurement table: true poses (n) with each sensor's noise, and its cross-axis error."""
     random = np.random.default_rng([seed, 2])
     n = len(pose.translation)
     columns: dict[str, np.ndarray] = {}
     if "orientation" in channels:
         noise = sensor.sigma("orientation") * random.normal(size=(n, 3))
-        columns |= dict(zip(("qx", "qy", "qz", "qw"), quaternions(pose.rotation @ exp(noise)).T, strict=True))
+        read = terms.read_rotation(pose.rotation, cross_axis)
+        columns |= dict(zip(("qx", "qy", "qz", "qw"), quaternions(read @ exp(noise)).T, strict=True))
     if "position" in channels:
         noise = sensor.sigma("position") * random.normal(size=(n, 3))
         columns |= dict(zip("xyz", (pose.translation + noise).T, strict=True))
-    r = pose.rotation
+    angles = terms.read_angles(pose.rotation, cross_axis)
     if "tilt" in channels:
         noise = sensor.sigma("tilt") * random.normal(size=(n, 2))
-        columns["roll"] = np.arctan2(r[:, 2, 1], r[:, 2, 2]) + noise[:, 0]
-        columns["pitch"] = -np.arcsin(r[:, 2, 0]) + noise[:, 1]
+        columns |= {"roll": angles["roll"] + noise[:, 0], "pitch": angles["pitch"] + noise[:, 1]}
     if "yaw" in channels:
-        columns["yaw"] = np.arctan2(r[:, 1, 0], r[:, 0, 0]) + sensor.sigma("yaw") * random.normal(size=n)
+        columns["yaw"] = angles["yaw"] + sensor.sigma("yaw") * random.normal(size=n)
     return columns

@@ -124,6 +124,7 @@ class Actuator(_Table):
 
 class Split(_Table):
     test: Annotated[float, Field(gt=0, lt=1)] = 0.2  # of the measured poses; 1 / test folds for cross-validation
+    poses: Annotated[int, Field(ge=1)] | None = None  # how many of the measured poses are used, drawn with the seed
 
 
 class Plan(_Table):
@@ -154,6 +155,13 @@ class VirtualErrors(_Table):
     gear_amplitude_deg: NotNegative = 0.001  # the same for revolute actuators
     gear_period_deg: Positive = 12.0
     gear_quadratic_per_rad: float = 1e-5
+    clearance_mm: NotNegative = 0.0  # whole play of a prismatic actuator; the payload's load pushes it to one end
+    clearance_deg: NotNegative = 0.0  # of a revolute actuator
+    backlash_mm: NotNegative = 0.0  # whole lost motion; the joint lags by half of it, by direction of approach
+    backlash_deg: NotNegative = 0.0
+    thermal_growth_mm: NotNegative = 0.0  # from the first to the last measured pose; which way is drawn
+    thermal_growth_deg: NotNegative = 0.0
+    cross_axis: Annotated[float, Field(gt=-0.5, lt=0.5)] = 0.0  # share of one angle that is read in another
     frame_rotation_deg: NotNegative = 1.0  # size of W's and T's rotation
     frame_translation_mm: NotNegative = 10.0
 
@@ -250,9 +258,23 @@ class Pretrain(_Table):
 class Transfer(_Table):
     iterations: Annotated[int, Field(ge=1, le=5000)] = 200
     validation: Annotated[float, Field(ge=0, lt=0.5)] = 0.15
-    own_hidden: Annotated[int, Field(ge=1, le=32)] = 6  # of the actuators' correction: units that see one joint
-    shared_hidden: Annotated[int, Field(ge=1, le=32)] = 6  # and units that see all
-    correction_iterations: Annotated[int, Field(ge=1, le=1000)] = 20
+
+
+class Siblings(_Table):
+    """Virtual siblings of the robot, whose residuals its own network inherits the shape of."""
+
+    count: Annotated[int, Field(ge=1, le=1000)] = 64
+    poses: Annotated[int, Field(ge=8, le=10_000)] = 600
+    hidden: Annotated[int, Field(ge=1, le=64)] = 24  # units in each of the two hidden layers
+    iterations: Annotated[int, Field(ge=1, le=100_000)] = 2000
+    seed: Annotated[int, Field(ge=0, lt=2**32)] = 0  # of its own: robots of one design share their siblings
+
+
+class Correct(_Table):
+    """The residual network of the actuators."""
+
+    own_units: Annotated[int, Field(ge=1, le=100)] = 10  # radial units of each joint
+    shared_units: Annotated[int, Field(ge=1, le=500)] = 40  # units from all joints to all
 
 
 class Evaluate(_Table):
@@ -301,6 +323,8 @@ class RobotDescription(Mechanism):
     prior: Prior = Prior()
     pretrain: Pretrain = Pretrain()
     transfer: Transfer = Transfer()
+    siblings: Siblings = Siblings()
+    correct: Correct = Correct()
     evaluate: Evaluate = Evaluate()
 
     @model_validator(mode="after")

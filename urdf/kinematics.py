@@ -403,10 +403,15 @@ def tool_rates(chain: ClosedChain, q: np.ndarray) -> np.ndarray:
 
 def tool_point_jacobian(chain: ClosedChain, q: np.ndarray, point: np.ndarray) -> np.ndarray:
     """(n, 3, n_joints): d(world position) / dq of a point (3,) [m] of the tool frame, the loops left open."""
-    frames = tree(chain, q)
-    at = frames.point(chain.tool_joint, chain.tool.rotation @ point + chain.tool.translation)
-    path, columns = _twist_columns(chain, frames, chain.tool_joint, at)
-    jacobian = np.zeros((len(q), 3, chain.n_joints))
+    on_joint = chain.tool.rotation @ point + chain.tool.translation
+    return point_jacobian(chain, tree(chain, q), chain.tool_joint, on_joint)
+
+
+def point_jacobian(chain: ClosedChain, frames: Tree, joint: int, point: np.ndarray) -> np.ndarray:
+    """(n, 3, n_joints): the same of a point (3,) [m] that hangs on `joint`."""
+    at = frames.point(joint, point)
+    path, columns = _twist_columns(chain, frames, joint, at)
+    jacobian = np.zeros((len(at), 3, chain.n_joints))
     jacobian[:, :, path] = columns[:, :3]
     return jacobian
 

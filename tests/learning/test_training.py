@@ -1,4 +1,4 @@
-"""Levenberg-Marquardt over a batch of networks: derivatives, minima, early stopping and decay."""
+"""Levenberg-Marquardt and Adam over a batch of networks: derivatives, minima, early stopping, decay, independence."""
 
 from itertools import pairwise
 
@@ -7,8 +7,10 @@ import pytest
 import torch
 from scipy.optimize import least_squares
 
+from learning.first_order import adam
 from learning.network import Layout, Network, count, initial_weights
-from learning.training import Problem, _normal_equations, levenberg_marquardt
+from learning.normal_equations import Dual, Primal, Rows, linearised
+from learning.training import Problem, levenberg_marquardt
 
 
 def network(layout: Layout, weights: torch.Tensor, x: torch.Tensor) -> torch.Tensor:
@@ -42,31 +44,39 @@ LAYOUTS = {"dense": Layout.dense(3, 4, 2), "joint-wise": Layout.joint_wise(3, 2,
 
 @pytest.mark.parametrize("rows", [None, 5], ids=["regression", "gain"])
 @pytest.mark.parametrize("name", LAYOUTS)
-def test_normal_equations(name, rows):
-    """J^T W e and J^T W J against J by torch's automatic differentiation (jacrev, mapped over poses and tasks)."""
+def test_normal_equations(name, rows, monkeypatch):
+    """J^T W e, J^T W J, J W J^T and products with J, against J by torch's jacrev, mapped over poses and tasks."""
     layout = LAYOUTS[name]
     task = problem(3, 7, layout.sizes[0], layout.sizes[3], rows)
     start = random_start(layout, 3)
-    to = torch.from_numpy
-    x, offset, train, weights = to(task.x), to(task.offset), to(task.train), to(start)
-    gain = None if task.gain is None else to(task.gain)
-    active = to(np.flatnonzero(layout.mask))
-    gradient, normal = _normal_equations(weights, layout, x, offset, gain, train, active)
-
-    unit = torch.eye(layout.sizes[3], dtype=torch.float64).expand(3, 7, -1, -1) if gain is None else gain
+    weights, x, offset, train = (torch.from_numpy(v) for v in (start, task.x, task.offset, task.train))
+    unit = torch.eye(layout.sizes[3], dtype=torch.float64).expand(3, 7, -1, -1)
+    gain = unit if task.gain is None else torch.from_numpy(task.gain)
+    active = torch.from_numpy(np.flatnonzero(layout.mask))
 
     def error(w, x, offset, gain):
         return offset + gain @ network(layout, w, x)
 
     over_poses = torch.vmap(torch.func.jacrev(error), (None, 0, 0, 0))
-    jacobian = torch.vmap(over_poses)(weights, x, offset, unit)[..., active]
-    errors = torch.vmap(torch.vmap(error, (None, 0, 0, 0)))(weights, x, offset, unit)
-    torch.testing.assert_close(
-        normal, torch.einsum("bn,bnmi,bnmj->bij", train, jacobian, jacobian), rtol=1e-10, atol=1e-11
-    )
-    torch.testing.assert_close(
-        gradient, torch.einsum("bn,bnmi,bnm->bi", train, jacobian, errors), rtol=1e-10, atol=1e-11
-    )
+    jacobian = torch.vmap(over_poses)(weights, x, offset, gain)
+    errors = torch.vmap(torch.vmap(error, (None, 0, 0, 0)))(weights, x, offset, gain)
+    normal = torch.einsum("bn,bnmi,bnmj->bij", train, jacobian, jacobian)
+    gradient = torch.einsum("bn,bnmi,bnm->bi", train, jacobian, errors)
+    given = Rows.of(task.x, task.offset, task.gain, task.train)
+    monkeypatch.setattr("learning.normal_equations._CHUNK", 3)  # so that there are several chunks
+    for k, found in enumerate(Primal.of(weights, layout.sizes, given, active)):
+        close(found.normal, normal[k][active][:, active])
+        close(found.gradient, gradient[k][active])
+    root = train.sqrt()[:, :, None, None]
+    for k, found in enumerate(Dual.of(weights, layout.sizes, given)):
+        rooted = (jacobian * root)[k].transpose(0, 1).flatten(0, 1)
+        close(found.kernel, rooted @ rooted.T)
+        close(found.times(weights[0]), rooted @ weights[0])
+        close(found.transposed_times(found.error), gradient[k])
+
+
+def close(found: torch.Tensor, expected: torch.Tensor) -> None:
+    torch.testing.assert_close(found, expected, rtol=1e-10, atol=1e-11)
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -252,3 +262,172 @@ def test_what_is_no_number_is_an_error(spoiled):
     {"x": task.x, "offset": task.offset}.get(spoiled, start).flat[-1] = np.nan
     with pytest.raises(FloatingPointError):
         levenberg_marquardt(task, layout, start, iterations=3)
+
+
+def alone(task: Problem, k: int) -> Problem:
+    """Member k's problem."""
+    own = slice(k, k + 1)
+    gain = None if task.gain is None else task.gain[own]
+    return Problem(task.x[own], task.offset[own], gain, task.train[own], task.validate[own])
+
+
+@pytest.mark.parametrize("trainer", [levenberg_marquardt, adam], ids=["lm", "adam"])
+@pytest.mark.parametrize("rows", [None, 5], ids=["regression", "gain"])
+@pytest.mark.parametrize("n", [12, 90], ids=["fewer rows than weights", "more"])
+def test_ten_at_once_are_ten_in_a_row(trainer, rows, n):
+    """Each with other data, numbers of rows, decay and end: weights, losses and curves, to 1e-9."""
+    layout = Layout.dense(3, 5, 2)
+    task, start, decay = problem(10, n, 3, 2, rows), random_start(layout, 10), np.geomspace(1e-3, 10, 10)
+    options = {"iterations": 40, "patience": 3}
+    together = trainer(task, layout, start, decay=decay, **options)
+    ends = []
+    for k in range(10):
+        one = trainer(alone(task, k), layout, start[k : k + 1], decay=decay[k : k + 1], **options)
+        np.testing.assert_allclose(together.weights[k], one.weights[0], rtol=0, atol=1e-9)
+        np.testing.assert_allclose(together.curve[: one.iterations, [k, 10 + k]], one.curve, rtol=1e-9)
+        assert (together.curve[one.iterations :, [k, 10 + k]] == together.curve[one.iterations - 1, [k, 10 + k]]).all()
+        assert together.train_loss[k] == pytest.approx(one.train_loss[0], rel=1e-9)
+        ends.append(one.iterations)
+    assert together.iterations == max(ends)
+    assert len(set(ends)) > 1  # they did not all stop together
+
+
+def test_both_forms_take_the_same_step():
+    """Fewer rows than weights: by J J^T and by J^T J, at several dampings, with and without a pull."""
+    layout = Layout.dense(3, 6, 3)
+    task = problem(2, 8, 3, 3, 4)
+    weights = torch.from_numpy(random_start(layout, 2))
+    given = Rows.of(task.x, task.offset, task.gain, task.train + 0.1)
+    away = weights - torch.from_numpy(random_start(layout, 2, seed=1))
+    for one, other in zip(
+        Primal.of(weights, layout.sizes, given, None), Dual.of(weights, layout.sizes, given), strict=True
+    ):
+        for damping, pull in ((1e-1, 0.0), (1e-6, 0.0), (1e-3, 2.0), (1e-9, 1e-2)):
+            by_weights, by_rows = one.step(damping, pull, away[0]), other.step(damping, pull, away[0])
+            assert by_weights is not None
+            assert by_rows is not None
+            torch.testing.assert_close(by_weights, by_rows, rtol=1e-6, atol=1e-8)
+
+
+def test_who_has_stopped_is_computed_no_further(monkeypatch):
+    """A member at its minimum beside one that is far from it: linearisations are counted."""
+    counted = []
+
+    def count_members(weights, *others):
+        counted.append(len(weights))
+        return linearised(weights, *others)
+
+    monkeypatch.setattr("learning.training.linearised", count_members)
+    layout = Layout.dense(2, 3, 2)
+    true = random_start(layout, 2)
+    x = np.random.default_rng(1).uniform(-1, 1, (2, 60, 2))
+    y = np.stack(
+        [Network(layout.sizes, w, np.zeros(2), np.ones(2), np.ones(2))(at) for w, at in zip(true, x, strict=True)]
+    )
+    start = np.stack([true[0] + 1e-6, random_start(layout, 1, seed=3)[0]])
+    found = levenberg_marquardt(
+        Problem(x, -y, None, np.ones((2, 60)), np.zeros((2, 60))), layout, start, iterations=30, patience=30
+    )
+    assert found.train_loss[0] < 1e-20
+    assert counted[0] == 2
+    assert counted[-1] == 1
+    assert sum(counted) < 1.7 * found.iterations
+
+
+def test_a_refused_step_keeps_its_linearisation(monkeypatch):
+    """Every linearisation but the first follows a step that led down: as many as iterations, whatever was refused."""
+    counted, tried = [], []
+    monkeypatch.setattr(
+        "learning.training.linearised", lambda w, *others: counted.append(len(w)) or linearised(w, *others)
+    )
+    squares = Rows.squares
+    monkeypatch.setattr(Rows, "squares", lambda *given: tried.append(len(given[1])) or squares(*given))
+    layout = Layout.dense(3, 6, 2)
+    task = problem(1, 60, 3, 2, None)
+    task = Problem(task.x, task.offset, None, np.ones((1, 60)), np.zeros((1, 60)))
+    found = levenberg_marquardt(task, layout, 4 * random_start(layout, 1), iterations=25, patience=25)
+    assert sum(counted) == found.iterations == 25
+    assert sum(tried) > 1 + 25  # the start, and at least one refused
+    assert np.all(np.diff(found.curve[:, 0]) < 0)
+
+
+def test_no_number_in_training_is_a_refused_step(monkeypatch):
+    """Every third trial of one member is NaN: it gets there all the same, and the other does not notice."""
+    layout = Layout.dense(2, 4, 2)
+    task, start = problem(2, 60, 2, 2, None), random_start(layout, 2)
+    task = Problem(task.x, task.offset, None, np.ones((2, 60)), np.zeros((2, 60)))
+    decay, calls, squares = np.full(2, 20.0), [], Rows.squares
+    expected = levenberg_marquardt(task, layout, start, iterations=100, patience=100, decay=decay)
+
+    def spoiled(*given):
+        calls.append(squares(*given))
+        if len(calls) % 3 == 2 and len(calls[-1]) == 2:
+            calls[-1][0] = np.nan
+        return calls[-1]
+
+    monkeypatch.setattr(Rows, "squares", spoiled)
+    found = levenberg_marquardt(task, layout, start, iterations=100, patience=100, decay=decay)
+    np.testing.assert_array_equal(found.weights[1], expected.weights[1])
+    assert found.train_loss[0] == pytest.approx(expected.train_loss[0], rel=1e-8)
+    assert np.isfinite(found.curve[:, :2]).all()
+
+
+def test_rows_of_weight_zero_may_be_no_numbers():
+    """They are not there; and a member without any rows comes back as it was."""
+    layout = Layout.dense(3, 4, 2)
+    task, start = problem(2, 40, 3, 2, None), random_start(layout, 2)
+    train = task.train.copy()
+    train[1] = 0.0
+    task.offset[(train == 0) & (task.validate == 0)] = np.nan
+    found = levenberg_marquardt(Problem(task.x, task.offset, None, train, task.validate), layout, start, iterations=5)
+    assert np.isfinite(found.weights).all()
+    assert np.isfinite(found.train_loss[0])
+    np.testing.assert_array_equal(found.weights[1], start[1])
+
+
+def test_adam_reaches_levenberg_marquardt():
+    """The same regular minimum (a decay) from the same start."""
+    layout = Layout.dense(2, 4, 2)
+    random = np.random.default_rng(0)
+    x = random.uniform(-1, 1, (2, 80, 2))
+    y = np.stack([np.sin(2 * x[..., 0]), x[..., 0] * x[..., 1]], axis=-1) + 0.1 * random.normal(size=x.shape)
+    task = Problem(x, -y, None, random.uniform(0.5, 2, (2, 80)), np.zeros((2, 80)))
+    start, decay = random_start(layout, 2), np.full(2, 20.0)
+    expected = levenberg_marquardt(task, layout, start, iterations=200, patience=200, decay=decay)
+    found = adam(task, layout, start, iterations=1000, decay=decay)
+    np.testing.assert_allclose(found.train_loss, expected.train_loss, rtol=1e-6)
+    np.testing.assert_allclose(found.weights, expected.weights, atol=1e-3)
+
+
+def test_adam_on_a_linear_problem():
+    """Inputs so small that tanh is linear and outputs nearly constant: the mean of each is what is left to learn."""
+    random = np.random.default_rng(4)
+    layout = Layout.dense(2, 3, 2)
+    x, offset = 1e-6 * random.uniform(-1, 1, (1, 50, 2)), random.normal(size=(1, 50, 2))
+    weight = random.uniform(0.5, 2, (1, 50))
+    found = adam(Problem(x, offset, None, weight, np.zeros((1, 50))), layout, random_start(layout, 1), iterations=800)
+    fitted = Network(layout.sizes, found.weights[0], np.zeros(2), np.ones(2), np.ones(2))(x[0])
+    expected = -np.average(offset[0], axis=0, weights=weight[0])
+    np.testing.assert_allclose(fitted, np.tile(expected, (50, 1)), atol=1e-4)
+
+
+def test_adam_stops_early_and_returns_the_best(overfitting):
+    """The validation loss calculated here from the weights returned is the least of the curve; twice the same."""
+    layout, task, start = overfitting
+    found, again = (adam(task, layout, start, iterations=3000, patience=100) for _ in "ab")
+    for k in range(2):
+        fitted = Network(layout.sizes, found.weights[k], np.zeros(1), np.ones(1), np.ones(1))
+        held = np.mean((fitted(task.x[k]) + task.offset[k])[15:] ** 2)
+        assert held == pytest.approx(found.validation_loss[k], rel=1e-12)
+        assert held <= found.curve[:, 2 + k].min() * (1 + 1e-12)
+    assert found.iterations == len(found.curve) < 3000
+    np.testing.assert_array_equal(found.weights, again.weights)
+
+
+def test_adam_leaves_masked_weights_and_refuses_nan():
+    layout = Layout.joint_wise(3, 2, 1)
+    task, start = problem(1, 40, 3, 3, None), random_start(layout, 1)
+    assert np.all(adam(task, layout, start, iterations=10).weights[0][~layout.mask] == 0)
+    task.offset[:] = np.nan
+    with pytest.raises(FloatingPointError):
+        adam(task, layout, start, iterations=3)

@@ -1,0 +1,86 @@
+"""How the residual network meets the robot: its task, its refinement together with the geometry, its predictions."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from identification.error_model import ErrorModel
+from identification.expected import prior_sigma
+from identification.measurements import Measurements
+from identification.poses import equal_parts
+from learning.correction import Correction
+from learning.residual import Task, fit_correction, learning_curve, refit
+from learning.units import Inherited
+from pipeline.results import Corrected, Fit
+from urdf.description import Correct
+from urdf.kinematics import Closure, forward
+
+_FOLDS, _FEW = 10, 20  # of cross-validation; up to so many poses, each is left out alone
+_ROUNDS = 2  # linearisations about the refined geometry; each gains four digits
+
+
+@dataclass(frozen=True)
+class _State:
+    """A robot's geometry and its correction, if any."""
+
+    p: np.ndarray
+    correction: Correction | None
+
+    def close(self, model: ErrorModel, readings: np.ndarray) -> Closure:
+        robot = model.robot(self.p)
+        joints = robot.actuators.joints(readings)
+        return forward(robot.chain, joints + self.delta(readings))
+
+    def delta(self, readings: np.ndarray) -> np.ndarray:
+        return np.zeros_like(readings) if self.correction is None else self.correction(readings)
+
+
+def corrected(
+    model: ErrorModel,
+    measured: Measurements,
+    fit: Fit,
+    inherited: Inherited,
+    settings: Correct,
+    seed: int,
+) -> Corrected:
+    """What the poses that `fit` has seen say that geometry can't explain, and the geometry refined beside it."""
+    own = np.setdiff1d(np.arange(len(measured)), fit.test)
+    poses = measured[own]
+    sigma = prior_sigma(model.parameters)
+    state = _State(fit.identified, None)
+    task = _task(model, poses, state)
+    correction, z = fit_correction(
+        task,
+        equal_parts(len(poses), _FOLDS if len(poses) > _FEW else len(poses), seed),
+        inherited,
+        own=settings.own_units,
+        shared=settings.shared_units,
+        seed=seed,
+    )
+    curve = learning_curve(task, correction, seed)
+    if correction.shrinkage == 0.0:
+        return Corrected(fit.identified, correction, curve)
+    for _ in range(_ROUNDS):
+        state = _State(sigma * z, correction)
+        if not state.close(model, poses.readings).closed.all():
+            break
+        correction, z = refit(correction, _task(model, poses, state))
+    return Corrected(sigma * z, correction, curve)
+
+
+def _task(model: ErrorModel, poses: Measurements, state: _State) -> Task:
+    """Linearised at `state`, told of the robot as drawn and uncorrected."""
+    q = state.close(model, poses.readings).require(lambda row: f"correct: pose {poses.pose[row]}").q
+    error = model.residual(model.robot(state.p), q, poses)
+    jacobian = model.jacobian(state.p, poses, q)
+    by_output = by_zeros(model, jacobian)
+    drawn = error - jacobian @ state.p - (by_output @ state.delta(poses.readings)[..., None])[..., 0]
+    return Task(poses.readings, drawn, jacobian * prior_sigma(model.parameters), by_output)
+
+
+def by_zeros(model: ErrorModel, jacobian: np.ndarray) -> np.ndarray:
+    """(n, rows, n_actuated): the columns of the actuators' zeros in jacobian (n, rows, n_parameters)."""
+    n = len(model.actuators.gain)
+    return jacobian[:, :, -12 - 2 * n : -12 - n]

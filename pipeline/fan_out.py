@@ -1,0 +1,214 @@
+"""Many jobs over few workers: what several jobs share runs once, first, and nobody waits for a neighbour meanwhile."""
+
+from __future__ import annotations
+
+import heapq
+from collections import defaultdict
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from concurrent.futures import FIRST_COMPLETED, Executor, Future, wait
+from dataclasses import asdict, dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+from pydantic_core import to_jsonable_python
+
+from pipeline.artifacts import Entry, Store, digest
+from pipeline.executor import undisturbed
+from pipeline.fingerprint import Code
+from pipeline.results import Comparison
+from pipeline.runner import Run, all_stages, needed
+from urdf.description import RobotDescription, load_robot
+from urdf.errors import CalibrationError, InputError
+
+
+@dataclass(frozen=True)
+class Job:
+    """A robot's way through the stages as a plain value: any worker that sees the store can go it."""
+
+    robot: str  # name, or the path to a robot.toml
+    overrides: tuple[str, ...]  # table.key=value, as of --set
+    store: Path
+    until: str
+    command: str = ""
+
+
+@dataclass(frozen=True)
+class Passed:
+    """A stage that a job went through."""
+
+    stage: str
+    state: str  # ran, cached
+    seconds: float | None
+    key: str
+    digest: str  # of its result's content
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What a worker says of its job: small values; the data is in the store."""
+
+    passed: tuple[Passed, ...]
+    damaged: tuple[str, ...]  # artifacts that were set aside
+    comparison: Mapping[str, Any] | None  # where the job's last stage makes one
+
+
+@dataclass(frozen=True)
+class Failure:
+    """A job that came to nothing."""
+
+    error: InputError | CalibrationError
+
+
+@dataclass(frozen=True)
+class Task:
+    """A job, or (`jobs` many) the stages at the beginning that these share."""
+
+    job: Job
+    jobs: tuple[int, ...]
+    final: bool
+
+
+class _JobStore(Store):
+    """A store that knows what the job used, instead of noting it down as what the robot used last."""
+
+    def __init__(self, root: Path) -> None:
+        super().__init__(root)
+        self.keys: dict[str, str] = {}
+
+    def remember(self, robot: str, stage: str, key: str) -> None:
+        self.keys[stage] = key
+
+    def save(self, *args: Any, **options: Any) -> Entry:
+        with undisturbed():
+            return super().save(*args, **options)
+
+
+@lru_cache(maxsize=1)
+def _code(store: Path) -> Code:
+    """Of the sources as this process has imported them: read once, whatever is edited while jobs run."""
+    return Code(memo=Store(store).read_memo())
+
+
+def carry_out(job: Job) -> Outcome:
+    """Go a job's way. Raises InputError and CalibrationError."""
+    store, events = _JobStore(job.store), []
+    robot = load_robot(job.robot, job.overrides)
+    run = Run(robot, store, None, events.append, job.command, _code=_code(job.store))
+    (value,) = run.until(job.until)
+    passed = []
+    for event in (e for e in events if e.state in ("ran", "cached")):
+        key = store.keys[event.stage]
+        entry = store.find(event.stage, key)
+        assert entry is not None
+        passed.append(Passed(event.stage, event.state, event.seconds, key, entry.digest))
+    damaged = tuple(e.why for e in events if e.state == "damaged")
+    return Outcome(tuple(passed), damaged, asdict(value) if isinstance(value, Comparison) else None)
+
+
+def run_all(
+    jobs: Sequence[Job],
+    robots: Sequence[RobotDescription],
+    workers: Executor,
+    at_once: int,
+    observe: Callable[[Task, Outcome | Failure | None], None] = lambda task, outcome: None,
+) -> list[Outcome | Failure]:
+    """The outcomes of jobs in their order. robots: as the jobs' overrides make them; at_once: number of workers.
+
+    observe(task, None) as a task is handed to a worker, and again with what came of it. Where a shared beginning
+    fails, all of its jobs do, by the same error.
+    """
+    tasks, waits_for = _tasks(jobs, robots)
+    outcomes: dict[int, Outcome | Failure] = {}
+    unblocks = defaultdict(list)
+    for k, others in enumerate(waits_for):
+        for other in others:
+            unblocks[other].append(k)
+    # What most jobs wait for comes first.
+    ready = [(-len(tasks[k].jobs), k) for k, others in enumerate(waits_for) if not others]
+    heapq.heapify(ready)
+    running: dict[Future[Outcome], int] = {}
+    while ready or running:
+        while ready and len(running) < at_once:
+            _, k = heapq.heappop(ready)
+            observe(tasks[k], None)
+            running[workers.submit(carry_out, tasks[k].job)] = k
+        done, _ = wait(running, return_when=FIRST_COMPLETED)
+        for future in done:
+            k = running.pop(future)
+            outcome = _outcome(future)
+            for t in _all_after(k, unblocks) if isinstance(outcome, Failure) else [k]:
+                if not tasks[t].final:
+                    observe(tasks[t], outcome)
+                elif tasks[t].jobs[0] not in outcomes:  # else failed already, by another of its stages
+                    outcomes[tasks[t].jobs[0]] = outcome
+                    observe(tasks[t], outcome)
+            if isinstance(outcome, Failure):
+                continue  # what waits for it never becomes ready
+            for other in unblocks[k]:
+                waits_for[other].discard(k)
+                if not waits_for[other]:
+                    heapq.heappush(ready, (-len(tasks[other].jobs), other))
+    return [outcomes[k] for k in range(len(jobs))]
+
+
+def _outcome(future: Future[Outcome]) -> Outcome | Failure:
+    try:
+        return future.result()
+    except (InputError, CalibrationError) as error:
+        return Failure(error)
+
+
+def _all_after(k: int, unblocks: Mapping[int, Iterable[int]]) -> list[int]:
+    found, queue = {k: None}, [k]
+    while queue:
+        for other in unblocks.get(queue.pop(), ()):
+            if other not in found:
+                found[other] = None
+                queue.append(other)
+    return sorted(found)
+
+
+def _tasks(jobs: Sequence[Job], robots: Sequence[RobotDescription]) -> tuple[list[Task], list[set[int]]]:
+    """The tasks, shared beginnings before the jobs, and for each the tasks that it waits for.
+
+    A stage's result is shared by the jobs whose settings agree in it and in all that it rests on. It is a task of
+    its own where ways part after it; else it runs along with the one stage that follows.
+    """
+    prefixes = [_prefixes(job.until, robot) for job, robot in zip(jobs, robots, strict=True)]
+    users, follow = defaultdict(list), defaultdict(set)
+    for k, prefix in enumerate(prefixes):
+        for stage, key in prefix.items():
+            users[key].append(k)
+            for source in _direct(stage):
+                follow[prefix[source]].add(key)
+    number, tasks, waits_for = {}, [], []
+    for k, prefix in enumerate(prefixes):
+        for stage, key in prefix.items():
+            if key not in number and len(users[key]) > 1 and len(follow[key]) != 1:
+                number[key] = len(tasks)
+                beginning = Job(jobs[k].robot, jobs[k].overrides, jobs[k].store, stage, jobs[k].command)
+                tasks.append(Task(beginning, tuple(users[key]), final=False))
+                before = (prefix[s.name] for s in needed(stage) if s.name != stage)
+                waits_for.append({number[other] for other in before if other in number})
+    for k, prefix in enumerate(prefixes):
+        tasks.append(Task(jobs[k], (k,), final=True))
+        waits_for.append({number[key] for key in prefix.values() if key in number})
+    return tasks, waits_for
+
+
+def _prefixes(until: str, robot: RobotDescription) -> dict[str, str]:
+    """{stage: digest of the settings of it and of all that it rests on}, in running order."""
+    found: dict[str, str] = {}
+    for stage in needed(until):
+        settings = {name: to_jsonable_python(getattr(robot, name), by_alias=True) for name in stage.settings}
+        found[stage.name] = digest([stage.name, settings, [found[source] for source in stage.inputs.values()]])
+    return found
+
+
+@lru_cache
+def _direct(stage: str) -> frozenset[str]:
+    """The stage's inputs, without those that another input rests on anyway."""
+    inputs = set(all_stages()[stage].inputs.values())
+    deeper = {before.name for source in inputs for before in needed(source) if before.name != source}
+    return frozenset(inputs - deeper)
