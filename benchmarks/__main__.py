@@ -10,6 +10,8 @@ commands. Long ones, by name:
     estimators        the five estimators and the losses side by side
     training          networks beside scikit-learn and torch's Adam, ten seeds at once; six minutes
     ur10_recording    a real arm, where its recordings are at hand; a minute
+    learning_recordings  the six methods and scikit-learn's regressors on recorded robots; twenty minutes
+    predicted_regions    do the regions of predictions hold the truth; ten minutes
 """
 
 import subprocess

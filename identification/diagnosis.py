@@ -171,7 +171,10 @@ def moved_far(parameters: Parameters, p: np.ndarray, std: np.ndarray) -> tuple[s
     """
     moved = np.abs(p / parameters.tolerance)
     said = []
-    for j in (j for j in np.argsort(-moved) if moved[j] > FLAGGED):
+    # a zero and a placement along the same axis can't be told apart: of equals the one that is set most easily
+    equal = np.round(moved, 3)
+    order = sorted(range(len(p)), key=lambda j: (-equal[j], not parameters.names[j].endswith(".zero")))
+    for j in (j for j in order if moved[j] > FLAGGED):
         unit, factor = HUMAN[parameters.units[j]]
         size = f"{parameters.names[j]} moved by {moved[j]:.1f} tolerances ({p[j] * factor:+.4g} {unit})"
         uncertain = std[j] / parameters.tolerance[j]

@@ -9,7 +9,7 @@ import numpy as np
 
 from learning.units import WAVES, Units
 
-_MARGIN = 0.1  # of the training range: how far outside the hull the correction has faded to nothing
+_MARGIN = 0.2  # of the training range: how far outside the hull the correction has faded to nothing
 
 
 def variance(columns: np.ndarray, covariance: np.ndarray) -> np.ndarray:

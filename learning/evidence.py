@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import scipy.linalg
+from scipy.linalg.lapack import dpotrf, dpotri  # pyright: ignore[reportAttributeAccessIssue]
 from scipy.stats import chi2
 
 from learning.correction import variance
@@ -19,6 +19,8 @@ _ITERATIONS = 60
 _SETTLED = 1e-2  # of the logarithm of a precision: predictions change by a millionth
 _PRECISIONS = (1e-6, 1e9)  # beyond: the group is as good as free, or gone
 _START = 0.1
+_LEAST_NOISE = 1e-6  # of a row
+_GONE = 0.05  # of a column, determined by the data: the group is not needed
 _HELD = 0.95  # of unseen errors, within the regions that calibration makes come true
 _FEW = 0.8  # the same with too few poses to see the 95 % by
 _ENOUGH = 40  # poses
@@ -32,10 +34,11 @@ class Rows:
     error: np.ndarray  # (n, m) r
     columns: np.ndarray  # (n, m, K) A
     group: np.ndarray  # (K,) of each column; 0: unit prior
+    known: bool = True  # the instruments' sigmas; else the rows' noise may be less than one, too
 
     def sums(self, poses: np.ndarray | slice) -> _Sums:
         a, r = self.columns[poses].reshape(-1, len(self.group)), self.error[poses].ravel()
-        return _Sums(a.T @ a, a.T @ r, float(r @ r), len(r))
+        return _Sums(a.T @ a, a.T @ r, float(r @ r), len(r), 1.0 if self.known else _LEAST_NOISE)
 
     def left(self, mean: np.ndarray, poses: np.ndarray | slice = slice(None)) -> np.ndarray:
         """(n, m): the errors at b = mean."""
@@ -50,9 +53,11 @@ class _Sums:
     cross: np.ndarray  # (K,) A' r
     energy: float  # r' r
     n: int
+    least_noise: float
 
     def without(self, other: _Sums) -> _Sums:
-        return _Sums(self.square - other.square, self.cross - other.cross, self.energy - other.energy, self.n - other.n)
+        square, cross, energy = self.square - other.square, self.cross - other.cross, self.energy - other.energy
+        return _Sums(square, cross, energy, self.n - other.n, self.least_noise)
 
 
 @dataclass(frozen=True)
@@ -60,7 +65,7 @@ class Posterior:
     mean: np.ndarray  # (K,)
     covariance: np.ndarray  # (K, K)
     precision: np.ndarray  # (n_groups,)
-    noise: float  # variance of a row beside the instrument's own, which is 1: at least 1
+    noise: float  # variance of a row; at least the instruments' own, which is 1, where that is known
     freedom: float  # rows less the effective number of columns
     log_evidence: float  # logarithm of the data's probability, a constant apart
 
@@ -85,12 +90,13 @@ def posterior(sums: _Sums, group: np.ndarray, near: Posterior | None = None) -> 
         found = precision.copy()
         for g, columns in enumerate(members):
             if g and len(columns):
-                determined = len(columns) - precision[g] * np.trace(covariance[np.ix_(columns, columns)])
-                found[g] = np.clip(determined / max(float(np.sum(mean[columns] ** 2)), 1e-300), *_PRECISIONS)
+                determined = len(columns) - precision[g] * float(np.sum(np.diag(covariance)[columns]))
+                wanted = determined / max(float(np.sum(mean[columns] ** 2)), 1e-300)
+                found[g] = np.clip(wanted, *_PRECISIONS) if determined > _GONE else _PRECISIONS[1]
         effective = len(group) - float(np.sum(precision[group] * np.diag(covariance)))
         left = float(sums.energy + 2 * mean @ sums.cross + mean @ sums.square @ mean)
         freedom = max(sums.n - effective, 1.0)
-        wider = max(left / freedom, 1.0)
+        wider = max(left / freedom, sums.least_noise)
         moved = max(np.max(np.abs(np.log(found / precision))), abs(np.log(wider / noise)))
         precision, noise = found, wider
         if moved < _SETTLED:
@@ -106,8 +112,12 @@ def _log_evidence(sums: _Sums, group: np.ndarray, precision: np.ndarray, noise: 
 
 
 def _inverse(information: np.ndarray) -> np.ndarray:
-    factor = scipy.linalg.cho_factor(information, lower=True, check_finite=False)
-    return scipy.linalg.cho_solve(factor, np.eye(len(information)), check_finite=False)
+    """Of a positive definite matrix, by its Cholesky factor: half the work of solving for the identity."""
+    factor, failed = dpotrf(information, lower=1)
+    inverse, singular = dpotri(factor, lower=1)
+    if failed or singular:
+        raise FloatingPointError("the information of a linear fit is not positive definite")
+    return np.tril(inverse) + np.tril(inverse, -1).T
 
 
 @dataclass(frozen=True)
@@ -140,20 +150,21 @@ def cross_validated(rows: Rows, folds: Sequence[np.ndarray]) -> tuple[Posterior,
     return all_seen, Unseen(error, spread)
 
 
-def inflation(error: np.ndarray, spread: np.ndarray) -> float:
+def inflation(error: np.ndarray, spread: np.ndarray, noise: float = 1.0) -> float:
     """What `spread` (n, m, m) must be multiplied by, so that unseen errors (n, m) lie as far out as it says.
 
-    An error's covariance is the instrument's, which is 1, and the spread. The rank of the quantile is that of conformal
+    An error's covariance is the instruments', `noise`, and the spread. The rank of the quantile is that of conformal
     prediction (Vovk, Gammerman, Shafer 2005): one more pose lies within with that probability.
     """
     n, m = error.shape
-    seen = float(np.trace(np.mean(spread, axis=0))) / m  # where the noise hides the spread, the spread is believed
+    # where the noise hides the spread, the spread is believed
+    seen = float(np.trace(np.mean(spread, axis=0))) / m / noise
     trust = seen / (1 + seen)
     held = _HELD if n >= _ENOUGH else _FEW
     reach, rank = chi2.ppf(held, m), min(int(np.ceil(held * (n + 1))), n) - 1
 
     def distance(factor: float) -> float:
-        square = np.linalg.solve(np.eye(m) + factor * spread, error[..., None])[..., 0]
+        square = np.linalg.solve(noise * np.eye(m) + factor * spread, error[..., None])[..., 0]
         return float(np.sort(np.sum(error * square, axis=1))[rank])
 
     low, high = np.log(_INFLATION)

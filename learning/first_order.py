@@ -38,13 +38,10 @@ def adam(
     where a loss is not a number at the start; a member whose loss becomes none ends at its best. Deterministic on one
     thread; a member's result is its own, as in levenberg_marquardt.
     """
-    mask = getattr(layout, "mask", None)
-    free = None if mask is None else torch.from_numpy(np.asarray(mask, dtype=np.float64))
     prior = torch.from_numpy(np.array(start, dtype=np.float64))
     pull = torch.zeros(len(prior)) if decay is None else torch.from_numpy(np.asarray(decay, dtype=np.float64))
     groups = [
-        _Group(layout.sizes, free, train, validate, who, prior[who], pull[who])
-        for who, train, validate in problem.groups()
+        _Group(layout.sizes, train, validate, who, prior[who], pull[who]) for who, train, validate in problem.groups()
     ]
     weights, losses = np.empty(prior.shape), np.empty((len(start), 2))
     curves: list[list[tuple[float, float]]] = [[] for _ in start]
@@ -74,14 +71,13 @@ class _Group:
     def __init__(
         self,
         sizes: Sizes,
-        free: Tensor | None,
         train: Rows,
         validate: Rows,
         who: np.ndarray,
         prior: Tensor,
         pull: Tensor,
     ) -> None:
-        self.sizes, self.free, self.train, self.validate, self.who = sizes, free, train, validate, who
+        self.sizes, self.train, self.validate, self.who = sizes, train, validate, who
         self.prior, self.pull = prior, pull[:, None]
         self.weights, self.best = prior.clone(), prior.clone()
         self.mean, self.mean_square = torch.zeros_like(prior), torch.zeros_like(prior)
@@ -104,7 +100,7 @@ class _Group:
         held = torch.full_like(loss, np.nan)
         if self._stops_early:
             held = self.validate.squares(self.weights, self.sizes) / self.validate.weight.sum(1)
-        return torch.stack([loss, held], dim=1).numpy(), gradient if self.free is None else gradient * self.free
+        return torch.stack([loss, held], dim=1).numpy(), gradient
 
     def advance(self, done: int, rate: float) -> None:
         self.mean.lerp_(self.gradient, 1 - _MEMORY[0])

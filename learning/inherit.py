@@ -15,6 +15,7 @@ from learning.units import Inherited, range_of
 
 _LEAST = 0.02  # of the first component's size: smaller ones are left out
 _MOST = 16  # components
+_STILL = 1e-10  # of the joint that gives most: one that gives less does not, but for rounding
 
 
 def inherit(
@@ -32,11 +33,12 @@ def inherit(
 
     s, n, k = residuals.shape
     size = np.sqrt(np.mean(residuals**2, axis=(0, 1)))  # of each joint
+    size = np.maximum(size, max(_STILL * float(size.max()), 1e-300))
     tall = (residuals / size).transpose(1, 0, 2).reshape(n, s * k)
     left, sizes, right = np.linalg.svd(tall, full_matrices=False)
-    kept = min(int(np.sum(sizes > _LEAST * sizes[0])), _MOST)
+    kept = max(min(int(np.sum(sizes > _LEAST * sizes[0])), _MOST), 1)
     components = np.sqrt(n) * left[:, :kept]  # of unit size
-    shares = sizes[:kept] / np.linalg.norm(sizes[:kept])
+    shares = sizes[:kept] / max(float(np.linalg.norm(sizes[:kept])), 1e-300)
     coefficients = (sizes[:kept, None] * right[:kept]).reshape(kept, s, k) / np.sqrt(n)
     layout = Layout.dense(k, hidden, kept)
     start = initial_weights(layout, np.random.default_rng([seed, 11]))

@@ -13,31 +13,11 @@ import numpy as np
 
 @dataclass(frozen=True)
 class Layout:
-    """Layer sizes, and which weights exist: a mask over the flat weight vector."""
-
     sizes: tuple[int, int, int, int]
-    mask: np.ndarray  # (n_weights,) bool
 
     @staticmethod
     def dense(n_in: int, hidden: int, n_out: int) -> Layout:
-        sizes = (n_in, hidden, hidden, n_out)
-        return Layout(sizes, np.ones(count(sizes), dtype=bool))
-
-    @staticmethod
-    def joint_wise(n_joints: int, own: int, shared: int) -> Layout:
-        """For each joint `own` hidden units that see it alone and move it alone, and `shared` ones from all to all.
-
-        Screw and gear errors are functions of their own joint; loads couple the joints.
-        """
-        hidden = n_joints * own + shared
-        owner = np.concatenate([np.repeat(np.arange(n_joints), own), np.full(shared, -1)])
-        joint = np.arange(n_joints)
-        first = (owner[:, None] == joint) | (owner[:, None] == -1)
-        second = owner[:, None] == owner
-        third = (joint[:, None] == owner) | (owner == -1)
-        bias = np.ones(hidden, dtype=bool)
-        parts = [first.ravel(), bias, second.ravel(), bias, third.ravel(), np.ones(n_joints, dtype=bool)]
-        return Layout((n_joints, hidden, hidden, n_joints), np.concatenate(parts))
+        return Layout((n_in, hidden, hidden, n_out))
 
 
 @dataclass(frozen=True)
@@ -87,23 +67,15 @@ def split(weights, sizes: tuple[int, int, int, int]) -> list:
     return found
 
 
-def initial_weights(layout: Layout, random: np.random.Generator, zero_output: bool = False) -> np.ndarray:
-    """(n_weights,) after Nguyen and Widrow (1990): hidden units spread over scaled inputs in [-1, 1].
-
-    zero_output: the network starts as the zero function.
-    """
-    weights = np.zeros(count(layout.sizes))
-    weights[layout.mask] = random.uniform(-1, 1, int(layout.mask.sum()))
+def initial_weights(layout: Layout, random: np.random.Generator) -> np.ndarray:
+    """(n_weights,) after Nguyen and Widrow (1990): hidden units spread over scaled inputs in [-1, 1]."""
+    weights = random.uniform(-1, 1, count(layout.sizes))
     w1, b1, w2, b2, w3, b3 = split(weights, layout.sizes)
     for w, b in ((w1, b1), (w2, b2)):
-        fan_in = np.maximum(np.count_nonzero(w, axis=1), 1)
-        # units that see the same inputs share their range
-        alike = np.array([np.sum(np.all((w != 0) == (row != 0), axis=1)) for row in w])
-        length = 0.7 * alike ** (1 / fan_in)
+        units, fan_in = w.shape
+        length = 0.7 * units ** (1 / fan_in)
         w *= (length / np.maximum(np.linalg.norm(w, axis=1), 1e-12))[:, None]
         b *= length
-    w3 /= np.sqrt(np.maximum(np.count_nonzero(w3, axis=1), 1))[:, None]
+    w3 /= np.sqrt(w3.shape[1])
     b3 *= 0.1
-    if zero_output:
-        w3[:], b3[:] = 0.0, 0.0
     return weights

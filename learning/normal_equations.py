@@ -92,18 +92,18 @@ class System(Protocol):
         ...
 
 
-def linearised(weights: Tensor, sizes: Sizes, rows: Rows, active: Tensor | None = None) -> list[System]:
-    """Each of the g members at its weights (g, n_weights); active: weights that may move, None for all."""
+def linearised(weights: Tensor, sizes: Sizes, rows: Rows) -> list[System]:
+    """Each of the g members at its weights (g, n_weights)."""
     n, n_weights = rows.weight.shape[1], weights.shape[1]
-    # measured, 3-16-16-3 and 30, 306 rows: an iteration takes a tenth and 0.7 of the primal's time
-    if active is None and n * rows.offset.shape[1] < n_weights:
+    # measured, 3-16-16-3 with 30, 150, 306, 360 rows: 0.25, 0.32, 0.61 and 0.71 of the primal's time
+    if n * rows.offset.shape[1] < n_weights:
         members, each = Dual.of, 1
     else:
         members, each = Primal.of, max(1, _CHUNK // n)
     found: list[System] = []
     for first in range(0, len(weights), each):
         some = slice(first, first + each)
-        found += members(weights[some], sizes, rows[some], active)
+        found += members(weights[some], sizes, rows[some])
     return found
 
 
@@ -120,33 +120,24 @@ def _solved(matrix: Tensor, lift: float, right: Tensor) -> Tensor | None:
 
 @dataclass(frozen=True)
 class Primal:
-    gradient: Tensor  # (n_active,) J^T W e
-    normal: Tensor  # (n_active, n_active) J^T W J
-    active: Tensor | None  # which weights these are; None: all
+    gradient: Tensor  # (n_weights,) J^T W e
+    normal: Tensor  # (n_weights, n_weights) J^T W J
 
     @staticmethod
-    def of(weights: Tensor, sizes: Sizes, rows: Rows, active: Tensor | None) -> list[Primal]:
+    def of(weights: Tensor, sizes: Sizes, rows: Rows) -> list[Primal]:
         places, n = _places(sizes), rows.weight.shape[1]
         blocks = [_sums(weights, sizes, rows.poses(slice(k, k + _CHUNK))) for k in range(0, n, _CHUNK)]
         gradient, numbers = (
             torch.stack(parts).sum(0) if n > _CHUNK else parts[0] for parts in zip(*blocks, strict=True)
         )
-        if active is not None:
-            places, gradient = places[active][:, active], gradient[:, active]
         return [
-            Primal(g, own.index_select(0, places.reshape(-1)).view(places.shape), active)
+            Primal(g, own.index_select(0, places.reshape(-1)).view(places.shape))
             for g, own in zip(gradient, numbers, strict=True)
         ]
 
     def step(self, damping: float, pull: float, away: Tensor) -> Tensor | None:
-        moving = slice(None) if self.active is None else self.active
         lift = damping * (float(self.normal.diagonal().mean()) + pull) + pull
-        solved = _solved(self.normal, lift, self.gradient + pull * away[moving])
-        if solved is None or self.active is None:
-            return solved
-        step = torch.zeros_like(away)
-        step[moving] = solved
-        return step
+        return _solved(self.normal, lift, self.gradient + pull * away)
 
 
 def _sums(weights: Tensor, sizes: Sizes, rows: Rows) -> tuple[Tensor, Tensor]:
@@ -267,7 +258,7 @@ class Dual:
     seen: tuple[Tensor, ...]  # (n, inputs + 1): z
 
     @staticmethod
-    def of(weights: Tensor, sizes: Sizes, rows: Rows, active: Tensor | None = None) -> list[Dual]:
+    def of(weights: Tensor, sizes: Sizes, rows: Rows) -> list[Dual]:
         _, _, w2, _, w3, _ = split(weights, sizes)
         first, second, y = forward(weights, sizes, rows.x)
         root = rows.weight.sqrt()

@@ -27,13 +27,17 @@ _PROBABLE = np.log(20)  # of the data's probability with the network over that w
 _PARTS, _REPEATS = (0.4, 0.55, 0.7, 0.85), 4  # of the learning curve
 _LEAST_POSES = 8  # of it
 _TRIMMED = 0.03  # of the poses, on either side: outliers
+_INSTRUMENTS = 0.1  # share of the noise, where nobody gave their sigmas
 _HELD = 0.95  # of the regions that are told
 STRUCTURES = {  # simple ones first: of equals the first is taken
     "each joint its own": (OWN,),
     "periodic": (WAVES,),
+    "all to all": (SHARED,),
+    "inherited": (INHERITED,),
     "periodic, inherited": (WAVES, INHERITED),
     "each joint its own, inherited": (OWN, INHERITED),
     "each joint its own, periodic, inherited": (OWN, WAVES, INHERITED),
+    "each joint its own, all to all": (OWN, SHARED),
     "all": (OWN, WAVES, SHARED, INHERITED),
 }
 
@@ -46,6 +50,7 @@ class Task:
     error: np.ndarray  # (n, m) of the robot as drawn and uncorrected, by the linearisation
     by_model: np.ndarray  # (n, m, P) d error / d z, z in units of its prior's sigma
     by_output: np.ndarray  # (n, m, k) d error / d delta
+    sigmas_known: bool = True  # else the rows were whitened by what the model alone leaves
 
 
 def fit_correction(
@@ -58,7 +63,7 @@ def fit_correction(
     basis = _told_apart(task)
     seen = replace(task, by_model=task.by_model @ basis)
     centre, span = range_of(task.x)
-    model = Rows(seen.error, seen.by_model, np.zeros(basis.shape[1], dtype=int))
+    model = Rows(seen.error, seen.by_model, np.zeros(basis.shape[1], dtype=int), task.sigmas_known)
     modelled, alone = cross_validated(model, folds)
     # the least outputs that explain what the model leaves set their scale
     needed = np.linalg.pinv(task.by_output) @ model.left(modelled.mean)[..., None]
@@ -115,8 +120,10 @@ def learning_curve(task: Task, correction: Correction, seed: int) -> np.ndarray:
     """
     basis, (n, m) = correction.refined.basis, task.error.shape
     seen = replace(task, by_model=task.by_model @ basis)
-    model = Rows(seen.error, seen.by_model, np.zeros(basis.shape[1], dtype=int))
+    model = Rows(seen.error, seen.by_model, np.zeros(basis.shape[1], dtype=int), task.sigmas_known)
     refined = _rows(seen, correction.units, correction.scale)
+    near = [posterior(rows.sums(slice(None)), rows.group) for rows in (model, refined)]
+    noise = 1.0 if task.sigmas_known else min(near[1].noise, 1.0)
     random, found = np.random.default_rng([seed, 14]), []
     sizes = [round(part * n) for part in _PARTS if part * n >= _LEAST_POSES]
     for size in sizes:
@@ -124,10 +131,11 @@ def learning_curve(task: Task, correction: Correction, seed: int) -> np.ndarray:
         for _ in range(_REPEATS):
             order = random.permutation(n)
             train, rest = np.sort(order[:size]), np.sort(order[size:])
-            for own, rows in zip(squares, (model, refined), strict=True):
-                square = np.sum(rows.left(posterior(rows.sums(train), rows.group).mean, rest) ** 2, axis=1)
+            for own, rows, all_seen in zip(squares, (model, refined), near, strict=True):
+                fitted = posterior(rows.sums(train), rows.group, all_seen)
+                square = np.sum(rows.left(fitted.mean, rest) ** 2, axis=1)
                 own.append(float(trim_mean(square, _TRIMMED)))
-        found.append((size, *(np.sqrt(max(np.mean(own) - m, 0.0)) for own in squares)))
+        found.append((size, *(np.sqrt(max(np.mean(own) - noise * m, 0.0)) for own in squares)))
     return np.array(found, dtype=float).reshape(-1, 3)
 
 
@@ -154,17 +162,21 @@ def _rows(task: Task, units: Units, scale: np.ndarray) -> Rows:
     columns = (task.by_output * scale)[:, :, joints] * units.values(task.x)[:, None]
     groups = {name: g for g, name in enumerate(dict.fromkeys(names), 1)}
     group = np.concatenate([np.zeros(task.by_model.shape[2], dtype=int), [groups[name] for name in names]]).astype(int)
-    return Rows(task.error, np.concatenate([task.by_model, columns], axis=2), group)
+    return Rows(task.error, np.concatenate([task.by_model, columns], axis=2), group, task.sigmas_known)
 
 
 def _spread(found: Posterior, unseen: Unseen, task: Task, scale: np.ndarray, basis: np.ndarray) -> Spread:
-    """What the rows' noise has beyond the instruments' own, and chance, is taken for the actuators'."""
+    """What the rows' noise has beyond the instruments' own, and chance, is taken for the actuators'.
+
+    Where nobody knows the instruments, nearly all of it is: a region too wide does less harm.
+    """
     outputs = task.by_output * scale
     mean_trace = float(np.mean(np.sum(outputs**2, axis=(1, 2)))) / task.error.shape[1]
-    beyond = max(found.noise * (1 - np.sqrt(2 / found.freedom)) - 1, 0.0)
+    noise = 1.0 if task.sigmas_known else _INSTRUMENTS * found.noise
+    beyond = max(found.noise * (1 - np.sqrt(2 / found.freedom)) - noise, 0.0)
     unexplained = np.sqrt(beyond / max(mean_trace, 1e-300))
     rest = unexplained**2 * outputs @ outputs.swapaxes(1, 2)
     m = task.error.shape[1]
     unsure = m * f_distribution.ppf(_HELD, m, found.freedom) / chi2.ppf(_HELD, m)  # the noise is an estimate, too
-    factor = float(unsure) * inflation(unseen.error, unseen.spread + rest)
+    factor = float(unsure) * inflation(unseen.error, unseen.spread + rest, noise)
     return Spread(basis, found.covariance, float(unexplained), factor)

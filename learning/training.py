@@ -83,12 +83,10 @@ def levenberg_marquardt(
     bit on one thread; a member's result does not depend on who else is in the batch, but for the rounding of torch's
     batched products (measured: none).
     """
-    mask = getattr(layout, "mask", None)
-    active = None if mask is None or mask.all() else torch.from_numpy(np.flatnonzero(mask))
     prior = torch.from_numpy(np.array(start, dtype=np.float64))
     pull = np.zeros(len(start)) if decay is None else np.asarray(decay, dtype=np.float64)
     groups = [
-        _Group(layout.sizes, active, patience, iterations, train, validate, who, prior[who], pull[who])
+        _Group(layout.sizes, patience, iterations, train, validate, who, prior[who], pull[who])
         for who, train, validate in problem.groups()
     ]
     weights, losses = np.empty(prior.shape), np.empty((len(start), 2))
@@ -117,7 +115,6 @@ class _Group:
     def __init__(
         self,
         sizes: Sizes,
-        active: Tensor | None,
         patience: int,
         iterations: int,
         train: Rows,
@@ -126,7 +123,7 @@ class _Group:
         prior: Tensor,
         pull: np.ndarray,
     ) -> None:
-        self.sizes, self.active, self.patience, self.iterations = sizes, active, patience, iterations
+        self.sizes, self.patience, self.iterations = sizes, patience, iterations
         self.train, self.validate, self.who, self.prior, self.pull = train, validate, who, prior, pull
         self.total = np.maximum(train.weight.sum(1).numpy(), 1e-300)
         self.weights, self.best = prior.clone(), prior.clone()
@@ -160,7 +157,7 @@ class _Group:
         if fresh:
             everyone = len(fresh) == len(self.systems)
             rows = self.train if everyone else self.train[torch.tensor(fresh)]
-            for k, system in zip(fresh, linearised(self.weights[fresh], self.sizes, rows, self.active), strict=True):
+            for k, system in zip(fresh, linearised(self.weights[fresh], self.sizes, rows), strict=True):
                 self.systems[k] = system
         trial, away, solved = self.weights.clone(), self.weights - self.prior, np.zeros(len(self.who), dtype=bool)
         for k, system in enumerate(self.systems):

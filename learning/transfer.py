@@ -29,7 +29,7 @@ def new_network(joints: np.ndarray, outputs: np.ndarray, hidden: int, seed: int)
         sizes=layout.sizes,
         weights=initial_weights(layout, np.random.default_rng([seed, 6])),
         input_centre=(low + high) / 2,
-        input_scale=(high - low) / 2,
+        input_scale=np.where(high > low, (high - low) / 2, 1.0),  # an input that never moves says nothing
         output_scale=np.maximum(largest, max(_LEAST_RANGE * largest.max(), 1e-12)),
     )
 
@@ -62,7 +62,7 @@ def train(
         train=used,
         validate=held,
     )
-    layout = Layout(first.sizes, np.ones(len(first.weights), dtype=bool))
+    layout = Layout(first.sizes)
     start = np.stack([network.weights for network in networks])
     found = levenberg_marquardt(problem, layout, start, iterations=iterations, progress=progress)
     return [network.with_weights(w) for network, w in zip(networks, found.weights, strict=True)], found

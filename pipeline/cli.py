@@ -402,6 +402,55 @@ def sweep(
 
 
 @app.command
+def reproduce(
+    *,
+    seeds: int = 10,
+    on: str = "2",
+    output: Path = Path("reproduced"),
+    json: Json = False,
+    common: Common | None = None,
+) -> None:
+    """The simulation of Xu, Tian and Zhang 2024 on ups3_s: every table and figure, all methods, the paper's numbers.
+
+    Parameters
+    ----------
+    seeds
+        How many seeds, from 0: each draws robot, noise, split and networks.
+    on
+        How many worker processes; 1: this process.
+    output
+        The folder of index.html, the figures, the tables and results.json.
+    json
+        The contents of results.json on stdout.
+    """
+    from pipeline.executor import worker_count
+    from pipeline.reproduce import plan as planned
+    from pipeline.reproduce import reproduce as reproduced
+    from pipeline.reproduce import study_of
+    from pipeline.sweep import output_folder
+    from pipeline.sweep_progress import SweepProgress
+
+    n_workers, common, study = worker_count(on), common or Common(), study_of(seeds)
+    robot, jobs = planned(study, common.set or (), common.store, _command())
+    folder = output_folder(output, output)
+    with SweepProgress(robot.name, {job: str(point) for job, point in jobs.items()}) as progress:
+        found = reproduced(study, robot, jobs, n_workers, progress)
+    from pipeline.reproduction_page import findings, summary, write
+
+    made = findings(found)
+    page = write(found, made, folder)
+    if json:
+        print_json(made.document)
+        return
+    for title, table in summary(made.document):
+        out.print(Text(title, style="bold"))
+        show_table(table)
+    for verdict in made.document["verdicts"]:
+        out.print(Text(verdict), soft_wrap=True)
+    out.print(Text(f"page: {short(page)}"), soft_wrap=True)
+
+
+@app.command
 def init(drawing: Path, *, output: Path | None = None) -> None:
     """Propose a robot.toml for a URDF or an MJCF: loops, actuators and a workspace, with the reasons in comments.
 

@@ -18,6 +18,7 @@ from urdf.description import Correct
 from urdf.kinematics import Closure, forward
 
 _FOLDS, _FEW = 10, 20  # of cross-validation; up to so many poses, each is left out alone
+_BELOW = 0.1  # of the sigma that geometry leaves
 _ROUNDS = 2  # linearisations about the refined geometry; each gains four digits
 
 
@@ -44,13 +45,19 @@ def corrected(
     inherited: Inherited,
     settings: Correct,
     seed: int,
+    sigmas_known: bool = True,
 ) -> Corrected:
-    """What the poses that `fit` has seen say that geometry can't explain, and the geometry refined beside it."""
+    """What the poses that `fit` has seen say that geometry can't explain, and the geometry refined beside it.
+
+    sigmas_known: of the instruments; else `measured` has those of what geometry leaves.
+    """
     own = np.setdiff1d(np.arange(len(measured)), fit.test)
     poses = measured[own]
+    if not sigmas_known:  # what geometry leaves is no measure of the instruments: the noise is found anew, from below
+        poses = poses.scaled(dict.fromkeys(poses.channels, _BELOW))
     sigma = prior_sigma(model.parameters)
     state = _State(fit.identified, None)
-    task = _task(model, poses, state)
+    task = _task(model, poses, state, sigmas_known)
     correction, z = fit_correction(
         task,
         equal_parts(len(poses), _FOLDS if len(poses) > _FEW else len(poses), seed),
@@ -59,25 +66,26 @@ def corrected(
         shared=settings.shared_units,
         seed=seed,
     )
-    curve = learning_curve(task, correction, seed)
+    # only of the fit that ships does anybody ask what more poses would bring
+    curve = learning_curve(task, correction, seed) if not len(fit.test) else np.zeros((0, 3))
     if correction.shrinkage == 0.0:
         return Corrected(fit.identified, correction, curve)
     for _ in range(_ROUNDS):
         state = _State(sigma * z, correction)
         if not state.close(model, poses.readings).closed.all():
             break
-        correction, z = refit(correction, _task(model, poses, state))
+        correction, z = refit(correction, _task(model, poses, state, sigmas_known))
     return Corrected(sigma * z, correction, curve)
 
 
-def _task(model: ErrorModel, poses: Measurements, state: _State) -> Task:
+def _task(model: ErrorModel, poses: Measurements, state: _State, sigmas_known: bool) -> Task:
     """Linearised at `state`, told of the robot as drawn and uncorrected."""
     q = state.close(model, poses.readings).require(lambda row: f"correct: pose {poses.pose[row]}").q
     error = model.residual(model.robot(state.p), q, poses)
     jacobian = model.jacobian(state.p, poses, q)
     by_output = by_zeros(model, jacobian)
     drawn = error - jacobian @ state.p - (by_output @ state.delta(poses.readings)[..., None])[..., 0]
-    return Task(poses.readings, drawn, jacobian * prior_sigma(model.parameters), by_output)
+    return Task(poses.readings, drawn, jacobian * prior_sigma(model.parameters), by_output, sigmas_known)
 
 
 def by_zeros(model: ErrorModel, jacobian: np.ndarray) -> np.ndarray:

@@ -18,7 +18,7 @@ from pipeline import results, stages
 from pipeline.artifacts import Damaged, Entry, Store, digest
 from pipeline.fingerprint import Code
 from urdf.description import PATHS, Robot
-from urdf.errors import InputError
+from urdf.errors import CalibrationError, InputError
 
 _LONGEST = 100  # letters of a changed value that are shown
 
@@ -141,7 +141,10 @@ class Run:
             began = time.perf_counter()
             found = None if forced else self._find(stage, key)  # another run may have made it meanwhile
             if found is None:
-                value = stage.function(**inputs, **{name: self._setting(name) for name in stage.settings})
+                try:
+                    value = stage.function(**inputs, **{name: self._setting(name) for name in stage.settings})
+                except FloatingPointError as error:  # a loss that is not a number, a matrix that can't be factored
+                    raise CalibrationError(f"{stage.name}: {error}; nothing was stored") from None
                 seconds = time.perf_counter() - began
                 provenance = {
                     "robot": self.robot_id,

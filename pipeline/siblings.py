@@ -1,21 +1,27 @@
-"""Virtual siblings of a robot: the same drawing, other loads, stiffnesses and plays.
+"""Virtual siblings of a robot: the same drawing, other loads and stiffnesses; and what geometry leaves of them.
 
 Every moving body has a mass at a random place, the tool a payload besides; the actuators give under their weight, by
-virtual work, and some have a play that the load's direction takes up. Sizes are drawn around one: how large the real
-robot's residuals are, its own poses say.
+virtual work. Sizes are drawn around one: how large the real robot's residuals are, its own poses say. Most of it looks
+like another geometry and would be identified as such. Errors of one joint alone (screws, gears) have units of their
+own; plays, which change sides with the load, cost more accuracy elsewhere than they gave and are left out.
 """
 
 from __future__ import annotations
 
 import numpy as np
+import scipy.linalg
 
+from identification.error_model import ErrorModel
+from identification.expected import expected, prior_sigma
+from identification.measurements import default_channels
+from pipeline.correct import by_zeros
 from urdf.closed_chain import ClosedChain
+from urdf.description import Sensor
 from urdf.kinematics import passive_rates, point_jacobian, tool_point_jacobian, tree
 
 _BODY = 0.2  # of the payload's mass, an ordinary moving body's
 _SPREAD = 0.5  # of the logarithm of masses and stiffnesses
-_PLAY = 0.3  # share of the siblings whose actuators have a play
-_TURN = 0.1  # of the load's size: over it the play changes sides
+_LEFT = 0.01  # of the shifts' size, counts as nothing when geometry is fitted to them
 _ASKEW = 0.25  # share of the siblings whose base is mounted anyhow, not upright
 
 
@@ -35,11 +41,30 @@ def residuals(chain: ClosedChain, q: np.ndarray, count: int, seed: int) -> np.nd
             mass = _BODY * np.exp(_SPREAD * random.normal())
             load = load + mass * _raised(up, point_jacobian(chain, frames, joint, _place(random, 0.3 * reach)), rates)
         give = -load * np.exp(_SPREAD * random.normal(size=load.shape[1]))
-        if random.random() < _PLAY:
-            size = np.sqrt(np.mean(load**2, axis=0))
-            give = give + random.normal(size=load.shape[1]) * size * np.tanh(load / np.maximum(_TURN * size, 1e-12))
         found[sibling] = give / max(float(np.sqrt(np.mean(give**2))), 1e-12)
     return found
+
+
+def unexplained(model: ErrorModel, readings: np.ndarray, q: np.ndarray, give: np.ndarray) -> np.ndarray:
+    """What an identification leaves of shifts `give` (count, n, n_actuated) of the joints, at closed configurations.
+
+    readings: (n, n_actuated); q: (n, n_joints). The geometry has its tolerances, the actuators shifts of the size of
+    their zeros' tolerance.
+    """
+    channels, zero = default_channels(model.chain.tool_axes), np.zeros(len(model.parameters))
+    seen = expected(model, zero, readings, q, channels, Sensor())
+    jacobian = model.jacobian(zero, seen, q)
+    by_zero = by_zeros(model, jacobian)
+    # the geometry's effect as a shift of the joints
+    as_shift = np.linalg.pinv(by_zero) @ (jacobian * prior_sigma(model.parameters))
+    columns = as_shift.reshape(-1, as_shift.shape[2])
+    size = model.parameters.tolerance[-12 - 2 * len(model.actuators.gain) : -12 - len(model.actuators.gain)]
+    shifts = (give * size).reshape(len(give), -1).T
+    noise = _LEFT * np.sqrt(np.mean(size**2))
+    q_, r = np.linalg.qr(np.concatenate([columns / noise, np.eye(columns.shape[1])]))
+    geometry = scipy.linalg.solve_triangular(r, q_[: len(columns)].T @ shifts / noise)
+    left = shifts - columns @ geometry
+    return left.T.reshape(give.shape)
 
 
 def _place(random: np.random.Generator, reach: float) -> np.ndarray:

@@ -249,7 +249,7 @@ def siblings(model: Model, siblings: Siblings, tolerance: Tolerance, actuator: d
     from identification.error_model import ErrorModel
     from identification.poses import planned
     from learning.inherit import inherit
-    from pipeline.siblings import residuals
+    from pipeline.siblings import residuals, unexplained
     from urdf.kinematics import inverse
 
     chain = model.chain()
@@ -257,9 +257,11 @@ def siblings(model: Model, siblings: Siblings, tolerance: Tolerance, actuator: d
     plan = Plan(poses=siblings.poses, layout="random")
     u = planned(model.mechanism.workspace, chain.tool_axes, plan, siblings.seed)
     closure = inverse(chain, u).require(lambda row: f"siblings: pose {row}")
+    readings = errors.actuators.readings(closure.q[:, chain.actuated])
+    give = residuals(chain, closure.q, siblings.count, siblings.seed)
     inherited, curve = inherit(
-        errors.actuators.readings(closure.q[:, chain.actuated]),
-        residuals(chain, closure.q, siblings.count, siblings.seed),
+        readings,
+        unexplained(errors, readings, closure.q, give),
         hidden=siblings.hidden,
         iterations=siblings.iterations,
         seed=siblings.seed,
@@ -286,9 +288,9 @@ def correct(
     chain = model.chain()
     errors = ErrorModel.of(chain, actuator, tolerance)
     poses = _used(filtered, chain, sensor, split, seed).scaled(identified.shipped.sensor_estimated)
-    inherited = siblings.inherited
+    inherited, known = siblings.inherited, not identified.shipped.sensor_estimated
     return Hybrids(
-        tuple(corrected(errors, poses, fit, inherited, correct, seed) for fit in identified.fits())
+        tuple(corrected(errors, poses, fit, inherited, correct, seed, known) for fit in identified.fits())
     )
 
 
@@ -308,7 +310,7 @@ def compensate(
     Desired are poses that the robot as built can have, parasitic motion included: those of the nominal commands.
     Of a real robot nobody knows where it would be: its closed loop is measured, not computed.
     """
-    if measured.truth is None:
+    if measured.truth is None or not evaluate.closed_loop:
         return Compensated(0, {}, ())
     import numpy as np
 

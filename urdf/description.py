@@ -266,7 +266,7 @@ class Siblings(_Table):
     count: Annotated[int, Field(ge=1, le=1000)] = 64
     poses: Annotated[int, Field(ge=8, le=10_000)] = 600
     hidden: Annotated[int, Field(ge=1, le=64)] = 24  # units in each of the two hidden layers
-    iterations: Annotated[int, Field(ge=1, le=100_000)] = 2000
+    iterations: Annotated[int, Field(ge=1, le=100_000)] = 3000  # of Adam
     seed: Annotated[int, Field(ge=0, lt=2**32)] = 0  # of its own: robots of one design share their siblings
 
 
@@ -274,10 +274,11 @@ class Correct(_Table):
     """The residual network of the actuators."""
 
     own_units: Annotated[int, Field(ge=1, le=100)] = 10  # radial units of each joint
-    shared_units: Annotated[int, Field(ge=1, le=500)] = 40  # units from all joints to all
+    shared_units: Annotated[int, Field(ge=1, le=500)] = 24  # units from all joints to all
 
 
 class Evaluate(_Table):
+    closed_loop: bool = True  # of a virtual robot: also where it is after compensation
     fresh_poses: Annotated[int, Field(ge=500, le=100_000)] = 500  # random poses of a virtual robot, noise-free
 
 

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from identification.poses import folds, held_out, planned
+from identification.poses import chosen, equal_parts, folds, held_out, planned
 from urdf.description import Plan, Split
 from urdf.errors import InputError
 from urdf.workspace import grid
@@ -85,3 +85,38 @@ def test_too_few_poses_to_hold_any_out():
 def test_seeds_give_different_parts():
     drawn = {tuple(held_out(50, Split(), seed)) for seed in range(20)}
     assert len(drawn) == 20
+
+
+# [split] poses
+
+
+@given(n=st.integers(1, 200), seed=st.integers(0, 50), data=st.data())
+def test_fewer_poses_are_among_more(n, seed, data):
+    """Each row once, in order, and nested: a curve over their number adds poses and takes none away."""
+    few = data.draw(st.integers(1, n))
+    more = data.draw(st.integers(few, n))
+    one, other = chosen(n, few, seed), chosen(n, more, seed)
+    assert (len(one), len(other)) == (few, more)
+    assert set(one) <= set(other) <= set(range(n))
+    assert np.all(np.diff(other) > 0)
+    np.testing.assert_array_equal(chosen(n, n, seed), np.arange(n))
+
+
+def test_another_seed_chooses_others():
+    assert set(chosen(100, 20, 0)) != set(chosen(100, 20, 1))
+
+
+def test_more_poses_than_there_are():
+    with pytest.raises(InputError, match=r"split\.poses = 13: there are 12 measured poses"):
+        chosen(12, 13, 0)
+
+
+@given(n=st.integers(1, 60), seed=st.integers(0, 20), data=st.data())
+def test_equal_parts(n, seed, data):
+    """Every row in one of them, and none larger than another by more than one."""
+    k = data.draw(st.integers(1, n))
+    parts = equal_parts(n, k, seed)
+    assert len(parts) == k
+    assert sorted(np.concatenate(parts)) == list(range(n))
+    sizes = [len(part) for part in parts]
+    assert max(sizes) - min(sizes) <= 1

@@ -8,7 +8,7 @@ import torch
 from scipy.optimize import least_squares
 
 from learning.first_order import adam
-from learning.network import Layout, Network, count, initial_weights
+from learning.network import Layout, Network, initial_weights
 from learning.normal_equations import Dual, Primal, Rows, linearised
 from learning.training import Problem, levenberg_marquardt
 
@@ -39,20 +39,15 @@ def random_start(layout: Layout, batch: int, seed: int = 0) -> np.ndarray:
     return np.stack([initial_weights(layout, np.random.default_rng([seed, k])) for k in range(batch)])
 
 
-LAYOUTS = {"dense": Layout.dense(3, 4, 2), "joint-wise": Layout.joint_wise(3, 2, 2)}
-
-
 @pytest.mark.parametrize("rows", [None, 5], ids=["regression", "gain"])
-@pytest.mark.parametrize("name", LAYOUTS)
-def test_normal_equations(name, rows, monkeypatch):
+def test_normal_equations(rows, monkeypatch):
     """J^T W e, J^T W J, J W J^T and products with J, against J by torch's jacrev, mapped over poses and tasks."""
-    layout = LAYOUTS[name]
+    layout = Layout.dense(3, 4, 2)
     task = problem(3, 7, layout.sizes[0], layout.sizes[3], rows)
     start = random_start(layout, 3)
     weights, x, offset, train = (torch.from_numpy(v) for v in (start, task.x, task.offset, task.train))
     unit = torch.eye(layout.sizes[3], dtype=torch.float64).expand(3, 7, -1, -1)
     gain = unit if task.gain is None else torch.from_numpy(task.gain)
-    active = torch.from_numpy(np.flatnonzero(layout.mask))
 
     def error(w, x, offset, gain):
         return offset + gain @ network(layout, w, x)
@@ -64,9 +59,9 @@ def test_normal_equations(name, rows, monkeypatch):
     gradient = torch.einsum("bn,bnmi,bnm->bi", train, jacobian, errors)
     given = Rows.of(task.x, task.offset, task.gain, task.train)
     monkeypatch.setattr("learning.normal_equations._CHUNK", 3)  # so that there are several chunks
-    for k, found in enumerate(Primal.of(weights, layout.sizes, given, active)):
-        close(found.normal, normal[k][active][:, active])
-        close(found.gradient, gradient[k][active])
+    for k, found in enumerate(Primal.of(weights, layout.sizes, given)):
+        close(found.normal, normal[k])
+        close(found.gradient, gradient[k])
     root = train.sqrt()[:, :, None, None]
     for k, found in enumerate(Dual.of(weights, layout.sizes, given)):
         rooted = (jacobian * root)[k].transpose(0, 1).flatten(0, 1)
@@ -243,17 +238,6 @@ def test_decay_pulls_to_the_start(overfitting):
     assert moved[-1] < 1e-6
 
 
-@pytest.mark.parametrize("rows", [None, 4], ids=["regression", "gain"])
-def test_masked_weights_stay_zero(rows):
-    """The joint-wise layout after training: what was not connected is not."""
-    layout = Layout.joint_wise(3, 2, 1)
-    task, start = problem(1, 40, 3, 3, rows), random_start(layout, 1)
-    found = levenberg_marquardt(task, layout, start, iterations=10)
-    assert np.all(found.weights[0][~layout.mask] == 0)
-    assert np.all(found.weights[0][layout.mask] != start[0][layout.mask])
-    assert count(layout.sizes) == len(layout.mask) > layout.mask.sum()
-
-
 @pytest.mark.parametrize("spoiled", ["x", "offset", "start"])
 def test_what_is_no_number_is_an_error(spoiled):
     """A NaN at the start ends in FloatingPointError, not in weights."""
@@ -299,9 +283,7 @@ def test_both_forms_take_the_same_step():
     weights = torch.from_numpy(random_start(layout, 2))
     given = Rows.of(task.x, task.offset, task.gain, task.train + 0.1)
     away = weights - torch.from_numpy(random_start(layout, 2, seed=1))
-    for one, other in zip(
-        Primal.of(weights, layout.sizes, given, None), Dual.of(weights, layout.sizes, given), strict=True
-    ):
+    for one, other in zip(Primal.of(weights, layout.sizes, given), Dual.of(weights, layout.sizes, given), strict=True):
         for damping, pull in ((1e-1, 0.0), (1e-6, 0.0), (1e-3, 2.0), (1e-9, 1e-2)):
             by_weights, by_rows = one.step(damping, pull, away[0]), other.step(damping, pull, away[0])
             assert by_weights is not None
@@ -424,10 +406,9 @@ def test_adam_stops_early_and_returns_the_best(overfitting):
     np.testing.assert_array_equal(found.weights, again.weights)
 
 
-def test_adam_leaves_masked_weights_and_refuses_nan():
-    layout = Layout.joint_wise(3, 2, 1)
+def test_adam_refuses_nan():
+    layout = Layout.dense(3, 4, 3)
     task, start = problem(1, 40, 3, 3, None), random_start(layout, 1)
-    assert np.all(adam(task, layout, start, iterations=10).weights[0][~layout.mask] == 0)
     task.offset[:] = np.nan
     with pytest.raises(FloatingPointError):
         adam(task, layout, start, iterations=3)

@@ -4,18 +4,31 @@ import os
 import shutil
 import subprocess
 import sys
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cache
 from pathlib import Path
 
+import numpy as np
 import pandas as pd
 import pytest
 
+from identification.error_model import ErrorModel
+from identification.estimators import identify, register
+from identification.measurements import Measurements
+from learning.correction import Correction, Hull, Spread
+from learning.inherit import inherit
+from learning.units import Inherited, Units, shared_units
 from pipeline.artifacts import Store
 from pipeline.cli import main
+from pipeline.correct import corrected
 from pipeline.fingerprint import ROOT
-from pipeline.results import Comparison
+from pipeline.methods import HybridMethod, ModelMethod, build
+from pipeline.results import Comparison, Corrected, Fit
 from pipeline.runner import Run, all_stages
-from urdf.description import ROBOTS, load_robot
+from pipeline.siblings import residuals, unexplained
+from pipeline.virtual_robot import VirtualRobot, draw
+from urdf.description import ROBOTS, Correct, Identify, VirtualErrors, load_robot
+from urdf.kinematics import forward, inverse
 
 # In all tests here, unless they say otherwise: a tracker, and small networks whose accuracy is not looked at.
 SMALL = (
@@ -24,6 +37,10 @@ SMALL = (
     "pretrain.iterations=15",
     "pretrain.continued=3",
     "transfer.iterations=10",
+    "siblings.count=4",
+    "siblings.poses=40",
+    "siblings.hidden=6",
+    "siblings.iterations=30",
 )
 QUICK = ("plan.poses=12", *SMALL)
 ROBOT_COMMANDS = ("run", "inspect", "compare", "status", "predict", "evaluate", "compensate")
@@ -69,6 +86,113 @@ def start():
         return Run(load_robot(str(robot), (*SMALL, *overrides)), Store(store), force_from, events.append), events
 
     return start
+
+
+@pytest.fixture(scope="session")
+def correction():
+    """correction(robot, size): a smooth one of the actuators, of about `size` times their range, not learned.
+
+    shrinkage: its own; hull: of the workspace, how much is taken for measured.
+    """
+
+    def correction(loaded, size: float, shrinkage: float = 1.0, hull: float = 1.0) -> Correction:
+        readings, gain = loaded.readings(200, seed=9), loaded.model.actuators.gain
+        low, high = readings.min(axis=0), readings.max(axis=0)
+        k = readings.shape[1]
+        units = Units((low + high) / 2, (high - low) / 2, 4, np.array([[k - 1, 1.7]]), shared_units(k, 4, 0), None)
+        readout = 0.3 * np.random.default_rng(0).normal(size=len(units.layout[0]))
+        around = Hull.of(units.scaled(readings))
+        around = Hull(around.directions, hull * around.reach)
+        sure = Spread(np.zeros((len(loaded.model.parameters), 0)), np.zeros((0, 0)), 0.0, 1.0)
+        scale = size * np.abs(gain) * (high - low)
+        return Correction(units, readout, scale, around, "all", shrinkage, 5.0, {"": 1.0, "all": 0.5}, sure, sure)
+
+    return correction
+
+
+@dataclass(frozen=True)
+class Calibrated:
+    """A virtual robot, what it measured, and what was identified and learned from that."""
+
+    loaded: object
+    virtual: VirtualRobot
+    measured: Measurements
+    inherited: Inherited
+    fit: Fit
+    corrected: Corrected
+
+    @property
+    def model(self) -> ErrorModel:
+        return self.loaded.model
+
+    @property
+    def geometric(self) -> ModelMethod:
+        return self._methods["geometric"]
+
+    @property
+    def hybrid(self) -> HybridMethod:
+        return self._methods["hybrid"]
+
+    @property
+    def _methods(self):
+        return build(self.model, self.fit, None, self.corrected, self.measured.channels)
+
+    def readings(self, n: int, seed: int, inner: float = 1.0, still: int | None = None) -> np.ndarray:
+        return _readings(self.loaded, n, seed, inner, still)
+
+    def correct(self, fit: Fit, spoil: np.ndarray | None = None) -> Corrected:
+        """From another fit; the poses `spoil` are replaced by nonsense."""
+        measured = self.measured
+        if spoil is not None:
+            rotation = measured.orientation.copy()
+            rotation[spoil] = rotation[spoil][:, ::-1]
+            measured = replace(measured, orientation=rotation)
+        return corrected(self.model, measured, fit, self.inherited, Correct(), 0)
+
+
+def _readings(loaded, n: int, seed: int, inner: float, still: int | None) -> np.ndarray:
+    """Random in the `inner` part of the workspace; still: the actuator that stays where it is at home."""
+    closure = inverse(loaded.chain, inner * loaded.coordinates(n, seed))
+    assert closure.closed.all()
+    joints = closure.q[:, loaded.chain.actuated]
+    if still is not None:
+        joints[:, still] = loaded.chain.home[loaded.chain.actuated][still]
+        assert forward(loaded.chain, joints).closed.all()
+    return loaded.model.actuators.readings(joints)
+
+
+@pytest.fixture(scope="session")
+def calibrated(robot, observed):
+    """calibrated(name, n, seed, inner, still, **errors): with n poses of a tracker, each made once a session."""
+
+    @cache
+    def inherited(name: str) -> Inherited:
+        loaded = robot(name)
+        q = loaded.configurations(150, seed=55)
+        readings = loaded.model.actuators.readings(q[:, loaded.chain.actuated])
+        given = unexplained(loaded.model, readings, q, residuals(loaded.chain, q, 24, 0))
+        return inherit(readings, given, hidden=12, iterations=300, seed=0)[0]
+
+    @cache
+    def calibrated(name: str, n: int, seed: int, inner: float = 1.0, still: int | None = None, **errors) -> Calibrated:
+        loaded = robot(name)
+        truth = draw(loaded.model, VirtualErrors(**errors), seed)
+        virtual = VirtualRobot.of(loaded.model, truth)
+        readings = _readings(loaded, n, 1000 + seed, inner, still)
+        moves = any(axis < 3 for axis in loaded.chain.tool_axes)
+        std = {"orientation": np.deg2rad(0.0006), "position": 2e-5}
+        pose, channels = virtual.pose(readings), ("orientation", "position") if moves else ("orientation",)
+        random = np.random.default_rng([seed, 66])
+        measured = observed(pose, readings, channels, std, random)
+        registered = register(loaded.model, measured, 1000)
+        found = identify(loaded.model, measured, Identify(), registered)
+        fit = Fit(np.zeros(0, dtype=int), registered.p, found.p)
+        own = inherited(name)
+        return Calibrated(
+            loaded, virtual, measured, own, fit, corrected(loaded.model, measured, fit, own, Correct(), seed)
+        )
+
+    return calibrated
 
 
 @pytest.fixture(scope="session")

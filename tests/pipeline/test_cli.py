@@ -127,6 +127,17 @@ def test_compare(cli, store, finished):
     assert found["methods"][1]["mean_mm"] is None
 
 
+def test_some_of_the_measured_poses(cli, store):
+    """split.poses: as many are used, by every method; and no more than there are."""
+    options = ("compare", "ups3_s", *SET, "--store", store, "--json", "--set")
+    found = document(cli(*options, "split.poses=9"))
+    check_comparison(found)
+    assert (found["n_poses"], found["advice"]["n_poses"]) == (9, 9)
+    refused = cli(*options, "split.poses=13")
+    assert (refused.status, refused.out) == (2, "")
+    assert refused.err.splitlines()[-1].endswith("split.poses = 13: there are 12 measured poses")
+
+
 def test_compare_several_robots(cli, store, robot_folder):
     found = document(cli("compare", "ups3_s", robot_folder, *SET, "--store", store, "--json"))
     assert isinstance(found, list)
@@ -217,7 +228,8 @@ def test_predict_is_the_error_model(cli, linear, tmp_path, method):
     turned = Rotation.from_quat(found[QUATERNION].to_numpy()).inv() * Rotation.from_matrix(expected.rotation)
     assert turned.magnitude().max() < 1e-12
     assert list(found["pose"]) == list(plan.table["pose"])
-    assert ("orientation_std" in found) == (method == "geometric")
+    assert ("orientation_std" in found) == ("orientation_95" in found) == (method == "geometric")
+    assert "share" not in found
 
 
 def test_the_truth_is_predicted_within_its_sigmas(cli, linear, tmp_path):
@@ -231,6 +243,32 @@ def test_the_truth_is_predicted_within_its_sigmas(cli, linear, tmp_path):
     ratio = np.sqrt(np.mean(error**2, axis=1)) / found["orientation_std"]
     assert 0.2 < np.sqrt(np.mean(ratio**2)) < 2.0
     assert ratio.max() < 4.0
+    assert np.mean(np.linalg.norm(error, axis=1) < found["orientation_95"]) >= 0.75  # of twelve
+
+
+def test_predict_by_hybrid(cli, store, finished, tmp_path):
+    """How sure it is, and how much of the correction is believed: 0 where nothing was measured, as by geometric."""
+    inside, outside = finished.table.head(4), finished.table.head(1).copy()
+    outside[["leg1_slide", "leg2_slide", "leg3_slide"]] += 0.08
+    pd.concat([inside, outside]).assign(pose=range(5)).to_csv(tmp_path / "joints.csv", index=False)
+    options = ("predict", "ups3_s", *SET, "--store", store, "--joints", "joints.csv", "--method")
+    found, geometric = (predicted(cli(*options, name)) for name in ("hybrid", "geometric"))
+    assert list(found) == ["pose", *QUATERNION, "orientation_std", "orientation_95", "share"]
+    assert list(geometric) == [name for name in found if name != "share"]
+    assert found["share"].between(0, 1).all()
+    assert found["share"].iloc[4] == 0
+    pd.testing.assert_frame_equal(found.iloc[4:, :-1], geometric.iloc[4:])
+    for table in (found, geometric):
+        assert np.all(table["orientation_95"] > 2.5 * table["orientation_std"])
+        assert np.all(table["orientation_95"] < 3.5 * table["orientation_std"])
+        assert table["orientation_std"].iloc[4] > table["orientation_std"].iloc[:4].max()
+
+
+@pytest.mark.parametrize("method", ["nominal", "network", "transfer", "transfer_identified"])
+def test_methods_that_do_not_say_how_sure_they_are(cli, store, finished, tmp_path, method):
+    finished.table.to_csv(tmp_path / "joints.csv", index=False)
+    found = predicted(cli("predict", "ups3_s", *SET, "--store", store, "--joints", "joints.csv", "--method", method))
+    assert list(found) == ["pose", *QUATERNION]
 
 
 def test_predict_as_json(cli, store, finished, tmp_path):

@@ -13,7 +13,7 @@ from learning.transfer import new_network, train
 from pipeline.charts import Chart
 from pipeline.compensation import attempt
 from pipeline.goal import Goal, parts
-from pipeline.methods import ModelMethod, NetworkMethod
+from pipeline.methods import HybridMethod, ModelMethod, NetworkMethod
 from pipeline.virtual_robot import VirtualRobot, draw
 from urdf.description import VirtualErrors
 from urdf.kinematics import inverse, pose_at, tool_coordinates, tool_rates
@@ -119,6 +119,20 @@ def test_what_was_measured_is_reached_whatever_the_rest_says(robot, kind):
         np.testing.assert_allclose(readings, loaded.readings(40, seed=2), atol=1e-8)
 
 
+@pytest.mark.parametrize("shrinkage", [1.0, 0.4])
+@pytest.mark.parametrize("kind", [kind for kind in KINDS if kind != ("ups2_u", ("yaw",))], ids=ids)
+def test_hybrid_reaches_what_was_measured(robot, correction, kind, shrinkage):
+    """The same of a robot with a correction, wholly or in part believed: its own predictions are met again."""
+    loaded, channels = robot(kind[0]), kind[1]
+    known = built(loaded, channels)
+    part = correction(loaded, 1e-3, shrinkage, 0.9 if shrinkage < 1 else 9.0)
+    method = HybridMethod(ModelMethod(built(loaded, channels, 4)), known, part)
+    desired = method.predict(loaded.readings(20, seed=2))
+    readings, reached = method.command(spoiled(desired, channels, 0.02 if kind[0] == "ups3_s" else 2.0), channels)
+    assert reached.all()
+    assert apart(desired, method.predict(readings), channels) < 1e-9
+
+
 @pytest.mark.parametrize("name, channels", [KINDS[0], KINDS[2], KINDS[4]])
 def test_the_closed_loop_of_a_virtual_robot(robot, name, channels):
     """Without hidden errors and with its own parameters known: where it should be, to a micrometre and -radian."""
@@ -218,13 +232,7 @@ def test_a_network_fills_in_its_own_prediction(robot, name, measured, channels):
 
 # `kincal compensate`, with files that say no more than they must
 
-QUICK = (
-    "plan.poses=20",
-    "pretrain.iterations=2",
-    "pretrain.continued=1",
-    "transfer.iterations=2",
-    "transfer.correction_iterations=2",
-)
+QUICK = ("plan.poses=20", "pretrain.iterations=2", "pretrain.continued=1", "transfer.iterations=2")
 
 
 @pytest.fixture

@@ -6,15 +6,15 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation, Slerp
 
 from identification.accuracy import gravity_error
-from learning.network import Layout, Network, initial_weights
-from learning.residual import Correction, Hull
+from learning.network import Network
 from learning.transfer import new_network, train
 from pipeline.charts import Chart
 from pipeline.compensation import commands
-from pipeline.methods import METHODS, ModelMethod, NetworkMethod, build
-from pipeline.results import Fit, Learned
+from pipeline.methods import METHODS, HybridMethod, ModelMethod, NetworkMethod, build
+from pipeline.results import Corrected, Fit, Learned
 from urdf.errors import InputError
 from urdf.kinematics import forward, inverse, pose_at, tool_coordinates
 from urdf.rigid_motion import Motion, log
@@ -125,14 +125,10 @@ def test_tilt_alone_takes_the_heading_from_the_model(robot):
 # Methods
 
 
-def correction(loaded, size: float, seed: int = 0) -> Correction:
-    """A smooth correction of the actuators of about `size` times their range, fading outside the workspace."""
-    readings = loaded.readings(200, seed=9)
-    layout = Layout.joint_wise(readings.shape[1], 3, 3)
-    low, high = readings.min(axis=0), readings.max(axis=0)
-    weights = initial_weights(layout, np.random.default_rng(seed), zero_output=size == 0.0)
-    network = Network(layout.sizes, weights, (low + high) / 2, (high - low) / 2, (size or 1.0) * (high - low))
-    return Correction(network, Hull.of(network.scaled(readings)), 0.7, 1.0, 5.0)
+def hybrid(loaded, p: np.ndarray, correction) -> HybridMethod:
+    """With a refined geometry a third of its tolerance off the identified one."""
+    refined = p + 0.3 * loaded.random_parameters(8) * (np.arange(len(p)) < len(p) - 12)
+    return HybridMethod(ModelMethod(loaded.model.robot(p)), loaded.model.robot(refined), correction)
 
 
 def trained(chart: Chart, readings: np.ndarray) -> Network:
@@ -154,20 +150,38 @@ def desired(robot):
     return desired
 
 
-@pytest.mark.parametrize("size", [None, 1e-4, 3e-3], ids=["no correction", "small correction", "large correction"])
-@pytest.mark.parametrize("name", ["ups3_s", "jugglebot", "ur10"])
-def test_a_model_reaches_what_it_is_commanded(robot, desired, name, size):
-    """Prediction at the command against the desired pose."""
-    loaded = robot(name)
-    p = loaded.random_parameters(7, instrument=frame([0.5, 0.1, 0.2, 1.0, -2.0, 0.5]))
-    method = ModelMethod(loaded.model.robot(p), None if size is None else correction(loaded, size))
-    wanted = desired(name, p)
+def assert_reached(method, wanted: Motion, translates: bool) -> np.ndarray:
     readings, reached = method.command(wanted)
     assert reached.all()
     got = method.predict(readings)
     np.testing.assert_allclose(got.rotation, wanted.rotation, atol=1e-9)
-    if 0 in loaded.chain.tool_axes:
+    if translates:
         np.testing.assert_allclose(got.translation, wanted.translation, atol=1e-9)
+    return readings
+
+
+@pytest.mark.parametrize("name", ["ups3_s", "jugglebot", "ur10"])
+def test_a_model_reaches_what_it_is_commanded(robot, desired, name):
+    """Prediction at the command against the desired pose."""
+    loaded = robot(name)
+    p = loaded.random_parameters(7, instrument=frame([0.5, 0.1, 0.2, 1.0, -2.0, 0.5]))
+    assert_reached(ModelMethod(loaded.model.robot(p)), desired(name, p), 0 in loaded.chain.tool_axes)
+
+
+@pytest.mark.parametrize("size", [1e-4, 3e-3], ids=["small correction", "large correction"])
+@pytest.mark.parametrize("shrinkage, hull", [(1.0, 9.0), (0.6, 0.7)], ids=["whole", "in part"])
+@pytest.mark.parametrize("name", ["ups3_s", "jugglebot", "ur10"])
+def test_hybrid_reaches_what_it_is_commanded(robot, desired, correction, name, size, shrinkage, hull):
+    """Prediction at the command against the desired pose; also where the correction is believed in part."""
+    loaded = robot(name)
+    p = loaded.random_parameters(7, instrument=frame([0.5, 0.1, 0.2, 1.0, -2.0, 0.5]))
+    method = hybrid(loaded, p, correction(loaded, size, shrinkage, hull))
+    readings = assert_reached(method, desired(name, p), 0 in loaded.chain.tool_axes)
+    share = method.correction.share(readings)
+    assert np.all(share <= shrinkage)
+    assert np.any((share > 0) & (share < 1)) == (shrinkage < 1)
+    apart = np.abs(readings - method.geometric.command(desired(name, p))[0]).max(axis=1)
+    assert np.all(apart[share > 0.1] > 1e-7)
 
 
 @pytest.mark.parametrize("channels", [("orientation",), ("tilt", "yaw"), ("tilt",)], ids="+".join)
@@ -212,56 +226,96 @@ def test_a_network_says_what_it_does_not_reach(robot):
     assert method.command(wanted)[1].tolist() == [True, False]
 
 
-@pytest.mark.parametrize("shrinkage", [0.0, 1.0])
-def test_a_zero_correction_is_the_geometric_model(robot, desired, shrinkage):
-    """To the last bit: evidence that gives nothing leaves nothing, in predictions and in commands."""
-    loaded = robot("ups3_s")
-    p = loaded.random_parameters(7)
-    zero = replace(correction(loaded, 0.0), shrinkage=shrinkage)
-    geometric, hybrid = ModelMethod(loaded.model.robot(p)), ModelMethod(loaded.model.robot(p), zero)
-    readings = loaded.readings(20, seed=3)
-    one, other = geometric.predict(readings), hybrid.predict(readings)
+def assert_same(one: Motion, other: Motion) -> None:
     np.testing.assert_array_equal(one.rotation, other.rotation)
     np.testing.assert_array_equal(one.translation, other.translation)
-    wanted = desired("ups3_s", p)
-    np.testing.assert_array_equal(geometric.command(wanted)[0], hybrid.command(wanted)[0])
 
 
-def test_the_correction_acts_on_the_joints(robot):
-    """Against the definition: W * forward(q + delta(q)) * T, with delta in the joints' unit at readings in theirs."""
+@pytest.mark.parametrize("shrinkage, hull", [(0.0, 1.0), (1.0, -9.0)], ids=["no evidence", "outside of the hull"])
+@pytest.mark.parametrize("name", ["ups3_s", "jugglebot"])
+def test_where_nothing_is_believed_hybrid_is_geometric(robot, desired, correction, name, shrinkage, hull):
+    """To the last bit, in predictions and in commands, whatever network and refined geometry say."""
+    loaded = robot(name)
+    p = loaded.random_parameters(7)
+    method = hybrid(loaded, p, correction(loaded, 3e-3, shrinkage, hull))
+    readings, wanted = loaded.readings(20, seed=3), desired(name, p)
+    assert_same(method.geometric.predict(readings), method.predict(readings))
+    commanded, reached = method.command(wanted)
+    assert reached.all()
+    np.testing.assert_allclose(commanded, method.geometric.command(wanted)[0], rtol=0, atol=1e-12)
+
+
+def test_a_row_outside_is_geometric_among_others(robot, correction):
+    """Bit for bit, though rows beside it are corrected; and each row is as if it were alone."""
+    loaded = robot("ups3_s")
+    method = hybrid(loaded, loaded.random_parameters(7), correction(loaded, 3e-3, 0.8, 0.5))
+    readings = loaded.readings(60, seed=3)
+    outside = method.correction.share(readings) == 0
+    assert 5 < outside.sum() < 55
+    whole, geometric = method.predict(readings), method.geometric.predict(readings)
+    np.testing.assert_array_equal(whole.rotation[outside], geometric.rotation[outside])
+    assert np.all(np.abs(whole.rotation - geometric.rotation).max(axis=(1, 2))[~outside] > 0)
+    for row in (0, 1, 2):
+        alone = method.predict(readings[[row]])
+        np.testing.assert_allclose(alone.rotation[0], whole.rotation[row], rtol=0, atol=1e-14)
+
+
+def test_the_correction_acts_on_the_joints(robot, correction):
+    """Against the definition: W * forward(q + delta(q)) * T of the refined robot, delta in the joints' unit."""
     overrides = tuple(f"actuator.leg{k}_slide.{key}" for k in (1, 2, 3) for key in ("gain=0.001", "zero=0.2"))
     loaded = robot("ups3_s", overrides)
     readings = loaded.readings(10, seed=3)
     assert readings.min() > 50  # millimetres
-    built, delta = loaded.model.robot(loaded.random_parameters(7)), correction(loaded, 1e-6)
-    got = ModelMethod(built, delta).predict(readings)
-    joints = built.actuators.zero + built.actuators.gain * readings + delta(readings)
+    method = hybrid(loaded, loaded.random_parameters(7), correction(loaded, 1e-3))
+    inside = method.correction.share(readings) == 1
+    assert inside.sum() >= 5
+    built, delta = method.refined, method.correction(readings)
+    joints = built.actuators.zero + built.actuators.gain * readings + delta
     expected = built.instrument @ forward(built.chain, joints).pose @ built.target
-    np.testing.assert_allclose(got.rotation, expected.rotation, atol=1e-13)
-    np.testing.assert_allclose(got.translation, expected.translation, atol=1e-13)
-    assert np.abs(delta(readings)).max() > 1e-6
+    got = method.predict(readings)
+    np.testing.assert_allclose(got.rotation[inside], expected.rotation[inside], atol=1e-13)
+    np.testing.assert_allclose(got.translation[inside], expected.translation[inside], atol=1e-13)
+    assert 1e-6 < np.abs(delta).max() < 1e-3  # metres
+
+
+@pytest.mark.parametrize("share", [0.2, 0.5, 0.9])
+def test_a_share_is_a_part_of_the_way(robot, correction, share):
+    """Translations by their mean with weights; rotations against scipy's Slerp."""
+    loaded = robot("jugglebot")
+    whole = hybrid(loaded, loaded.random_parameters(7), correction(loaded, 3e-3, 1.0, 9.0))
+    part = replace(whole, correction=replace(whole.correction, shrinkage=share))
+    readings = loaded.readings(6, seed=3)
+    start, end, between = (m.predict(readings) for m in (whole.geometric, whole, part))
+    expected = (1 - share) * start.translation + share * end.translation
+    np.testing.assert_allclose(between.translation, expected, rtol=0, atol=1e-13)
+    for k in range(len(readings)):
+        slerp = Slerp([0, 1], Rotation.from_matrix(np.stack([start.rotation[k], end.rotation[k]])))
+        np.testing.assert_allclose(between.rotation[k], slerp(share).as_matrix(), atol=1e-12)
+        assert np.linalg.norm(log(start.rotation[k].T @ end.rotation[k])) > 1e-5
 
 
 @pytest.mark.parametrize("millimetres", [False, True])
-def test_the_command_is_the_fixed_point(robot, millimetres):
-    """q + delta(q) = q*, with q* from inverse kinematics alone."""
+def test_the_command_is_the_fixed_point(robot, correction, millimetres):
+    """q + delta(q) = q*, with q* from the refined robot's inverse kinematics alone."""
     overrides = tuple(f"actuator.leg{k}_slide.gain=0.001" for k in (1, 2, 3)) if millimetres else ()
     loaded = robot("ups3_s", overrides)
-    built = loaded.model.robot(loaded.random_parameters(7))
-    delta = correction(loaded, 1e-3 * (1e-3 if millimetres else 1.0))
-    tool = pose_at(loaded.chain, 0.9 * loaded.coordinates(20, seed=13))
-    wanted = inverse(built.chain, tool_coordinates(built.chain, tool)).q[:, built.chain.actuated]
-    readings, reached = ModelMethod(built, delta).command(built.measured(tool))
+    method = hybrid(loaded, loaded.random_parameters(7), correction(loaded, 1e-3, 1.0, 9.0))
+    built = method.refined
+    tool = pose_at(built.chain, 0.9 * loaded.coordinates(20, seed=13))
+    closure = inverse(built.chain, tool_coordinates(built.chain, tool))
+    wanted = closure.q[:, built.chain.actuated]
+    readings, reached = method.command(built.measured(closure.pose))
     assert reached.all()
-    np.testing.assert_allclose(built.actuators.joints(readings) + delta(readings), wanted, rtol=0, atol=1e-12)
-    assert np.abs(delta(readings)).max() > 1e-5
+    delta = method.correction(readings)
+    np.testing.assert_allclose(built.actuators.joints(readings) + delta, wanted, rtol=0, atol=1e-11)
+    assert np.abs(delta).max() > 1e-5
 
 
-def test_all_six_by_name_in_the_tables_order(robot):
+def test_all_six_by_name_in_the_tables_order(robot, correction):
     """Each name against the parameters and the network that belong to it."""
     loaded = robot("ups3_s")
     n = len(loaded.model.parameters)
-    registered, identified = np.zeros(n), loaded.random_parameters(7)
+    registered, identified, refined = np.zeros(n), loaded.random_parameters(7), loaded.random_parameters(9)
     chart = Chart(loaded.model.robot(registered), ("orientation",))
     start = new_network(
         loaded.readings(20, seed=1), chart.of_tool(pose_at(loaded.chain, loaded.coordinates(20, 1))), 4, 0
@@ -270,7 +324,8 @@ def test_all_six_by_name_in_the_tables_order(robot):
     found = build(
         loaded.model,
         Fit(np.zeros(0, dtype=int), registered, identified),
-        Learned(one, two, three, correction(loaded, 1e-3), np.zeros((1, 6))),
+        Learned(one, two, three, np.zeros((1, 6))),
+        Corrected(refined, correction(loaded, 1e-3, 1.0, 9.0), np.zeros((0, 3))),
         ("orientation",),
     )
     assert tuple(found) == METHODS
@@ -284,20 +339,30 @@ def test_all_six_by_name_in_the_tables_order(robot):
         np.testing.assert_array_equal(found[name].predict(readings).rotation, expected.rotation)
     for name, p in (("nominal", registered), ("geometric", identified)):
         np.testing.assert_array_equal(found[name].predict(readings).rotation, loaded.poses(p, readings).rotation)
-    apart = found["hybrid"].predict(readings).rotation - found["geometric"].predict(readings).rotation
-    assert 1e-7 < np.abs(apart).max() < 1e-2
+    shifted = loaded.model.robot(refined)
+    joints = shifted.actuators.joints(readings) + found["hybrid"].correction(readings)
+    expected = shifted.measured(forward(shifted.chain, joints).pose)
+    np.testing.assert_allclose(found["hybrid"].predict(readings).rotation, expected.rotation, rtol=0, atol=1e-13)
+
+
+def test_without_networks_or_a_correction_these_rows_are_missing(robot):
+    loaded = robot("ups3_s")
+    fit = Fit(np.zeros(0, dtype=int), *2 * [loaded.random_parameters(7)])
+    assert tuple(build(loaded.model, fit, None, None, ("orientation",))) == ("nominal", "geometric")
 
 
 # Refusals
 
 
-def command(loaded, angles_deg, max_condition: float = 100.0, size: float | None = None) -> np.ndarray:
+def command(loaded, angles_deg, max_condition: float = 100.0, correction=None) -> np.ndarray:
     """Commands for orientations (n, 3) about home by the nominal model, poses numbered 10, 20, .."""
     u = np.zeros((len(angles_deg), 6))
     u[:, 3:] = np.deg2rad(angles_deg)
     model = loaded.model
     robot = model.robot(np.zeros(len(model.parameters)))
-    method = ModelMethod(robot, None if size is None else correction(loaded, size))
+    method = ModelMethod(robot)
+    if correction is not None:
+        method = HybridMethod(method, robot, correction)
     workspace = loaded.description.workspace.model_copy(update={"max_condition": max_condition})
     numbers = 10 * np.arange(1, len(u) + 1)
     return commands(method, pose_at(loaded.chain, u), loaded.chain, model.actuators, workspace, numbers)
@@ -335,10 +400,11 @@ def test_a_pose_that_cannot_be_reached_is_refused(robot):
     refused(robot("ups3_s"), (170, 0, 0))  # upside down the legs' lengths are legal, but belong to another pose
 
 
-@pytest.mark.parametrize("size", [None, 1e-4])
-def test_a_pose_beyond_a_joint_limit_is_refused(robot, size):
+@pytest.mark.parametrize("corrected", [False, True])
+def test_a_pose_beyond_a_joint_limit_is_refused(robot, correction, corrected):
     """Slides end at 0.35 and 0.65 m; at 60 degrees of tilt one leg is shorter."""
-    refused(robot("ups3_s"), (0, 60, 0), "_slide", "limits are [0.35, 0.65]", size=size)
+    own = correction(robot("ups3_s"), 1e-4, hull=9.0) if corrected else None
+    refused(robot("ups3_s"), (0, 60, 0), "_slide", "limits are [0.35, 0.65]", correction=own)
 
 
 def test_a_passive_joint_beyond_its_limit_is_refused(robot, edited):

@@ -9,7 +9,10 @@ from pipeline.runner import Run
 from urdf.description import load_robot
 from urdf.errors import InputError
 
-SMALL = ("pretrain.iterations=20", "transfer.iterations=30", "prior.poses=125")
+SMALL = (
+    *("pretrain.iterations=20", "transfer.iterations=30", "prior.poses=125"),
+    *("siblings.count=16", "siblings.poses=150", "siblings.hidden=12", "siblings.iterations=300"),
+)
 GEOMETRIC_ALONE = ("measure.errors.elastic=false", "measure.errors.screw=false")
 TILT_ALONE = ('measure.channels=["tilt"]',)
 
