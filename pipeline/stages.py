@@ -289,9 +289,7 @@ def correct(
     errors = ErrorModel.of(chain, actuator, tolerance)
     poses = _used(filtered, chain, sensor, split, seed).scaled(identified.shipped.sensor_estimated)
     inherited, known = siblings.inherited, not identified.shipped.sensor_estimated
-    return Hybrids(
-        tuple(corrected(errors, poses, fit, inherited, correct, seed, known) for fit in identified.fits())
-    )
+    return Hybrids(tuple(corrected(errors, poses, fit, inherited, correct, seed, known) for fit in identified.fits()))
 
 
 def compensate(
