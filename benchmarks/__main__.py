@@ -3,7 +3,8 @@
 Quick: kinematics, identification (without its slow peers and its scaling: `python -m benchmarks.identification`) and
 commands. Long ones, by name:
 
-    accuracy          the six methods over five seeds; a quarter of an hour
+    accuracy          the six methods over ten seeds; a quarter of an hour
+    non_geometric     which errors each method removes, one at a time; ten minutes
     poses             D-optimal poses beside other layouts
     recovery          error and chi-square beside what is possible, all shipped robots; an hour
     coverage          do 95 % intervals hold 95 %; half an hour

@@ -1,4 +1,4 @@
-"""Accuracy of the six methods on virtual 3-UPS/S platforms: medians over five seeds (robot, noise, split, networks).
+"""Accuracy of the six methods on virtual 3-UPS/S platforms: medians over ten seeds (robot, noise, split, networks).
 
 Each row is the mean volumetric error on 500 fresh poses against the noise-free truth, in degrees.
 """
@@ -10,21 +10,21 @@ import sys
 import tempfile
 from pathlib import Path
 
+from benchmarks.setup import spread
 from pipeline.artifacts import Store
 from pipeline.runner import Run
 from urdf.description import load_robot
 
-SEEDS = range(5)
+SEEDS = range(10)
+GEOMETRIC = ["measure.errors.elastic=false", "measure.errors.screw=false"]
 CASES = {
     "default: inclinometer and heading streams, 150 poses": [],
     "the same, 50 poses": ["plan.poses=50"],
     "the same, 10 poses": ["plan.poses=10"],
     "tracker-like orientation, 150 poses": ['measure.channels=["orientation"]'],
-    "the same, geometric errors only": [
-        'measure.channels=["orientation"]',
-        "measure.errors.elastic=false",
-        "measure.errors.screw=false",
-    ],
+    "the same, geometric errors only": ['measure.channels=["orientation"]', *GEOMETRIC],
+    "streams, geometric errors only, 50 poses": [*GEOMETRIC, "plan.poses=50"],
+    "streams, geometric errors only, 10 poses": [*GEOMETRIC, "plan.poses=10"],
     "inclinometer alone (scored on tilt), 150 poses": ['measure.channels=["tilt"]'],
 }
 
@@ -34,7 +34,7 @@ def main() -> None:
         for case, settings in CASES.items():
             if sys.argv[1:] and not any(word in case for word in sys.argv[1:]):
                 continue
-            found = [_compare(Path(folder), [*settings, f"seed={seed}"]) for seed in SEEDS]
+            found = list(spread(_compare, [(Path(folder), [*settings, f"seed={seed}"]) for seed in SEEDS]))
             print(f"\n{case}\n{'method':<22}{'mean':>9}{'max':>9}   mean after compensation", flush=True)
             rows = [[f.raw_nominal, *f.methods] for f in found]
             for k, first in enumerate(rows[0]):
@@ -47,7 +47,8 @@ def main() -> None:
                 )
 
 
-def _compare(store: Path, settings: list[str]):
+def _compare(job: tuple[Path, list[str]]):
+    store, settings = job
     return Run(load_robot("ups3_s", settings), Store(store)).until("evaluate")[0]
 
 

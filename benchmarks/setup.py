@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from functools import lru_cache
@@ -85,7 +86,9 @@ def bench(name: str, channels: tuple[Channel, ...] | None = None) -> Bench:
 
 
 def spread(work: Callable[[Any], Any], jobs: Iterable[Any]) -> Iterator[Any]:
-    """work(job) of every job, in order, on PROCESSES processes."""
+    """work(job) of every job, in order, on PROCESSES processes of one thread each."""
+    for library in ("OMP", "OPENBLAS", "MKL"):
+        os.environ.setdefault(f"{library}_NUM_THREADS", "1")
     with get_context("spawn").Pool(PROCESSES) as pool:
         yield from pool.imap(work, jobs)
 

@@ -23,7 +23,7 @@ from learning.waves import find_waves
 
 _LEAST_TOLD = 1e-3  # of a prior's sigma: what poses tell less of is left to it
 _CHANCE = 0.01  # that a network which does not pay is believed
-_PROBABLE = np.log(20)  # of the data's probability with the network over that without: it is believed sooner
+_PROBABLE = 5.0  # logarithm of the data's probability with the network over that without: it is believed sooner
 _PARTS, _REPEATS = (0.4, 0.55, 0.7, 0.85), 4  # of the learning curve
 _LEAST_POSES = 8  # of it
 _TRIMMED = 0.03  # of the poses, on either side: outliers
@@ -82,7 +82,8 @@ def fit_correction(
     _, _, name, units, found, unseen = min(tried)
     evidence = _evidence(alone, unseen)
     more_probable = found.log_evidence - modelled.log_evidence
-    sure = evidence > student.isf(_CHANCE, len(task.x) - 1) or (more_probable > _PROBABLE and evidence > 1)
+    likely = evidence > student.isf(_CHANCE, len(task.x) - 1) and more_probable > 1
+    sure = likely or (more_probable > _PROBABLE and evidence > 1)
     change = unseen.error - alone.error
     shrinkage = float(np.clip(-np.sum(alone.error * change) / max(np.sum(change**2), 1e-300), 0.0, 1.0))
     correction = Correction(

@@ -11,11 +11,12 @@ import scipy.linalg
 from scipy.stats import f as f_distribution
 
 _STEP = 0.2  # of a cycle over the measured range: between two periods that are tried
-_LOWEST, _HIGHEST = 0.5, 40.0  # cycles over the range
-_POSES_A_CYCLE = 8  # at least, on average
+_LOWEST, _HIGHEST = 0.5, 100.0  # cycles over the range
+_POSES_A_CYCLE = 2  # at least, on average: joint values are never evenly spaced
 _MOST = 40  # waves
+_FINER = 21  # periods tried about one that was chosen
 _CHANCE = 1e-3  # that a robot without periodic errors is said to have one
-_MOST_POSES = 1500  # that are looked at: more tell no other periods
+_MOST_POSES = 600  # that are looked at: more tell no other periods
 _ROUNDING = 1e-9
 
 
@@ -37,30 +38,32 @@ def find_waves(x: np.ndarray, error: np.ndarray, columns: np.ndarray, gain: np.n
     def whitened(v: np.ndarray) -> np.ndarray:
         return v - q @ (shrunk * (q.T @ v))
 
+    def waves(j: int, cycles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        phase = np.pi * (x[:, [j]] + 1) * cycles  # (n, f)
+        sine, cosine = (gain[:, :, [j]] * part(phase)[:, None] for part in (np.sin, np.cos))
+        return whitened(sine.reshape(-1, len(cycles))), whitened(cosine.reshape(-1, len(cycles)))
+
     left = whitened(error.reshape(-1, 1))[:, 0]
-    phase = np.pi * (x[:, :, None] + 1) * cycles  # (n, k, f)
-    waves = [
-        [whitened((gain[:, :, [j]] * part(phase[:, None, j])).reshape(len(left), -1)) for part in (np.sin, np.cos)]
-        for j in range(x.shape[1])
-    ]
-    sine, cosine = (np.stack([pair[i] for pair in waves]) for i in (0, 1))  # (k, rows, f)
+    pairs = [waves(j, cycles) for j in range(x.shape[1])]
+    sine, cosine = (np.stack([pair[i] for pair in pairs]) for i in (0, 1))  # (k, rows, f)
     ss, cc, sc = (np.einsum("krf,krf->kf", a, b) for a, b in ((sine, sine), (cosine, cosine), (sine, cosine)))
     sr, cr = (np.einsum("krf,r->kf", a, left) for a in (sine, cosine))
     floor = _ROUNDING * max(float(ss.max()), float(cc.max()), 1e-300)
     basis, chosen = np.zeros((len(left), 0)), []
     free = len(left) - float(np.sum(s**2 / (1 + s**2)))
     while len(chosen) < _MOST and free - 2 > len(left) / 4:
-        determinant = (ss + floor) * (cc + floor) - sc**2
-        explained = (sr**2 * (cc + floor) + cr**2 * (ss + floor) - 2 * sr * cr * sc) / determinant
+        explained = _explained(ss, cc, sc, sr, cr, floor)
         j, f = np.unravel_index(int(np.argmax(explained)), explained.shape)
         energy, free = float(left @ left), free - 2
         ratio = (explained[j, f] / 2) / max((energy - explained[j, f]) / free, 1e-300)
         if f_distribution.sf(ratio, 2, free) * explained.size > _CHANCE:
             break
-        chosen.append((j, cycles[f]))
-        new = np.stack([sine[j, :, f], cosine[j, :, f]], axis=1)
-        new -= basis @ (basis.T @ new)
-        new = np.linalg.qr(new)[0]
+        near = cycles[f] + _STEP * np.linspace(-0.5, 0.5, _FINER)
+        fine = [v - basis @ (basis.T @ v) for v in waves(int(j), near)]
+        products = [np.sum(a * b, axis=0) for a, b in ((fine[0], fine[0]), (fine[1], fine[1]), (fine[0], fine[1]))]
+        best = int(np.argmax(_explained(*products, *(left @ v for v in fine), floor)))
+        chosen.append((j, near[best]))
+        new = np.linalg.qr(np.stack([v[:, best] for v in fine], axis=1))[0]
         basis = np.concatenate([basis, new], axis=1)
         # what is orthogonal to all waves so far: by the sums alone, the waves themselves stay as they are
         sn, cn = (np.einsum("krf,ri->kfi", a, new) for a in (sine, cosine))
@@ -70,3 +73,9 @@ def find_waves(x: np.ndarray, error: np.ndarray, columns: np.ndarray, gain: np.n
         left = left - new @ part
         sr, cr = sr - sn @ part, cr - cn @ part
     return np.array(chosen, dtype=float).reshape(-1, 2)
+
+
+def _explained(ss, cc, sc, sr, cr, floor: float) -> np.ndarray:
+    """The energy of r that a sine and a cosine explain together, from their products with each other and with r."""
+    determinant = (ss + floor) * (cc + floor) - sc**2
+    return (sr**2 * (cc + floor) + cr**2 * (ss + floor) - 2 * sr * cr * sc) / determinant

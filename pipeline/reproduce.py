@@ -41,7 +41,7 @@ class Study:
     )
     priors: tuple[int, ...] = (8, 27, 64, 216, 512, 1331, 4913, 9261)  # the outlook: the amount of pre-training data
     few_beyond: int = 1331  # larger source tasks take long:
-    few_seeds: int = 3
+    few_seeds: int = 2
 
 
 STUDY = Study()
