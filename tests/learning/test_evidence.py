@@ -95,8 +95,12 @@ def test_against_scikit_learn(seed):
 
 
 def test_noise_is_never_less_than_the_instruments():
+    """Unless nobody knows these: then it is what it is, folds left out or not."""
     data = rows(50, 3, (1.0, 1.0), noise=0.2)
     assert posterior(data.sums(ALL), data.group).noise == 1.0
+    unknown = replace(data, known=False)
+    for sums in (unknown.sums(ALL), unknown.sums(ALL).without(unknown.sums(slice(0, 5)))):
+        assert posterior(sums, data.group).noise == pytest.approx(0.04, rel=0.3)
 
 
 def test_what_is_not_there_is_pruned():
@@ -179,6 +183,14 @@ def test_inflated_regions_hold(n, factor):
         found = inflation(*drawn(n, factor, seed, spread_size=100.0))
         shares.append(held(*drawn(400, factor, seed + 1000, spread_size=100.0), found))
     assert np.mean(shares) == pytest.approx(0.95, abs=0.02)
+
+
+@pytest.mark.parametrize("noise", [1e-4, 100.0])
+def test_inflation_in_another_unit(noise):
+    """Errors, noise and spread scaled together: the same factor."""
+    error, spread = drawn(100, 4.0, 2)
+    expected = inflation(error, spread)
+    assert inflation(np.sqrt(noise) * error, noise * spread, noise) == pytest.approx(expected, rel=1e-9)
 
 
 def test_inflation_of_a_known_factor():

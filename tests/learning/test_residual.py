@@ -212,7 +212,8 @@ def test_a_joint_that_never_moves():
 def test_nothing_to_inherit(learned):
     """Structures that need it are not tried."""
     found, _ = fit_correction(learned.task, parts(120), None, **OPTIONS)
-    assert set(found.losses) <= {"", "each joint its own", "periodic"}
+    assert len(found.losses) > 2
+    assert not any("inherited" in name for name in found.losses)
 
 
 # The learning curve

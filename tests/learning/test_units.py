@@ -13,6 +13,7 @@ from learning.network import Layout, Network, initial_weights
 from learning.units import INHERITED, OWN, SHARED, WAVES, Inherited, Units, range_of, shared_units
 
 JOINTS = 3
+MARGIN = 0.4  # in scaled inputs: a fifth of a range, which is 2 wide
 LOW, HIGH = np.array([0.4, 0.35, -1.0]), np.array([0.6, 0.55, 2.0])  # ranges of different size
 
 
@@ -174,13 +175,13 @@ def test_distance_from_the_hull():
 
 @pytest.mark.parametrize("direction", [[1, 0, 0], [0, -1, 0], [0.7, 0.7, 0.7], [1, -1, 0.2]])
 def test_fading_outside_the_hull(correction, direction):
-    """Along a ray from the middle: 1 inside, 0 beyond a tenth of the range, monotone and smooth between."""
+    """Along a ray from the middle: 1 inside, 0 beyond the margin, monotone and smooth between."""
     along = np.linspace(0, 2.5, 2501)
     x = (LOW + HIGH) / 2 + along[:, None] * (HIGH - LOW) / 2 * np.array(direction)
     fade, distance = correction.fade(x), correction.hull.outside(correction.units.scaled(x))
     assert np.all(fade[distance == 0] == 1)
-    assert np.all(fade[distance > 0.2] == 0)  # a range is 2 wide
-    between = (distance > 0.001) & (distance < 0.199)
+    assert np.all(fade[distance > MARGIN] == 0)
+    between = (distance > 0.001) & (distance < 0.999 * MARGIN)
     assert np.all((fade[between] > 0) & (fade[between] < 1))
     assert np.all(np.diff(fade) <= 0)
     assert np.abs(np.diff(fade)).max() < 0.02
@@ -189,12 +190,12 @@ def test_fading_outside_the_hull(correction, direction):
 
 
 def test_fade_by_hand():
-    """Half of the margin of 0.2 outside: (1 - 1/4)^2."""
+    """Half of the margin outside: (1 - 1/4)^2."""
     units = Units(np.zeros(2), np.ones(2), 1, np.zeros((0, 2)), np.zeros((0, 3)), None)
     hull = Hull.of(np.array([[-1.0, -1], [1, 1], [1, -1], [-1, 1]]))
     spread = Spread(np.eye(2), np.eye(2), 0.0, 1.0)
     own = Correction(units, np.ones(2), np.ones(2), hull, "", 0.4, 5.0, {}, spread, spread)
-    x = np.array([[0.3, -0.2], [1.1, 0.0], [1.3, 0.0]])
+    x = np.array([[0.3, -0.2], [1 + MARGIN / 2, 0.0], [1.1 + MARGIN, 0.0]])
     np.testing.assert_allclose(own.share(x), [0.4, 0.4 * 0.5625, 0.0], rtol=1e-12)
 
 

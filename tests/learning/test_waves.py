@@ -28,18 +28,18 @@ def planted(x: np.ndarray, gain: np.ndarray, joint: int, cycles: float, amplitud
 @profile(max_examples=25)
 @given(
     joint=st.integers(0, JOINTS - 1),
-    cycles=st.floats(1.5, 12.0),
+    cycles=st.floats(1.5, 40.0),
     phase=st.floats(0, 2 * np.pi),
     amplitude=st.floats(2.0, 50.0),
     seed=st.integers(0, 99),
 )
 def test_a_planted_wave_is_found(joint, cycles, phase, amplitude, seed):
-    """The strongest is of the right joint and period, to the step between two that are tried."""
+    """The strongest is of the right joint and period, to half the step between two that are tried."""
     x, noise, columns, gain = problem(150, seed)
     found = find_waves(x, noise + planted(x, gain, joint, cycles, amplitude, phase), columns, gain)
     assert found.shape[1:] == (2,)
     assert found[0, 0] == joint
-    assert abs(found[0, 1] - cycles) <= 0.21
+    assert abs(found[0, 1] - cycles) <= 0.1
 
 
 def test_several_waves_are_found():
@@ -49,7 +49,7 @@ def test_several_waves_are_found():
     error = noise + sum(planted(x, gain, j, c, a, 0.4) for j, c, a in true)
     found = find_waves(x, error, columns, gain)
     for joint, cycles, _ in true:
-        assert np.min(np.abs(found[found[:, 0] == joint, 1] - cycles)) <= 0.21
+        assert np.min(np.abs(found[found[:, 0] == joint, 1] - cycles)) <= 0.05
     assert set(found[:, 0]) == {0.0, 2.0}
 
 
@@ -98,4 +98,4 @@ def test_more_poses_than_are_looked_at():
     x, noise, columns, gain = problem(5000, 7)
     found = find_waves(x, noise + planted(x, gain, 2, 8.2, 2.0, 0.3), columns, gain)
     assert found[0, 0] == 2
-    assert abs(found[0, 1] - 8.2) <= 0.21
+    assert abs(found[0, 1] - 8.2) <= 0.02

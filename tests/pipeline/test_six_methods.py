@@ -53,8 +53,9 @@ def test_targets(default):
     found = {name: row.mean_deg for name, row in by_name(default.methods).items()}
     assert found["transfer"] <= 0.015
     assert found["geometric"] <= 0.004
-    assert found["hybrid"] <= 0.0012
-    assert found["hybrid"] < found["geometric"]
+    assert found["hybrid"] <= 0.0007  # the 0.0006 is a median over ten seeds
+    assert by_name(default.methods)["hybrid"].max_deg <= 0.003
+    assert found["hybrid"] < found["geometric"] / 3
     assert found["transfer"] < found["network"]
     assert found["network"] < found["nominal"]
 

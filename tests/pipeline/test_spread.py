@@ -72,12 +72,11 @@ def test_between_the_two_it_goes_as_the_prediction(calibrated):
     assert 5 < (share == 0).sum() < 55
 
 
-@pytest.mark.parametrize("n", [50, 100])
-def test_regions_hold(calibrated, n):
+def test_regions_hold(calibrated):
     """Of robots that no tuning has seen, pooled: 95 % of true orientations lie within, to a few per cent."""
     held = {"geometric": [], "hybrid": []}
-    for seed in range(300, 304):
-        case = calibrated("ups3_s", n, seed)
+    for seed in range(300, 305):
+        case = calibrated("ups3_s", 60, seed)
         readings = case.readings(150, seed=96)
         truth = case.virtual.pose(readings)
         for name, method in (("geometric", case.geometric), ("hybrid", case.hybrid)):
