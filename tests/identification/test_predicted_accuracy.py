@@ -17,7 +17,6 @@ CASES = [
     ("ups3_s", ("orientation",)),
     ("ups3_s", ("tilt",)),
     ("jugglebot", ("orientation", "position")),
-    ("jugglebot", ("tilt", "position")),
     ("ur10", ("orientation", "position")),
 ]
 

@@ -41,8 +41,15 @@ def prediction_error(loaded, p: np.ndarray, truth: np.ndarray, channels, reading
     return float(np.max(errors))
 
 
-@pytest.mark.parametrize("frames", ["near", "far"])
-@pytest.mark.parametrize("name, channels, n", CASES.values(), ids=CASES)
+@pytest.mark.parametrize(
+    "name, channels, n, frames",
+    [
+        pytest.param(*case, frames, id=f"{name}-{frames}")
+        for name, case in CASES.items()
+        for frames in ("near", "far")
+        if (name, frames) != ("jugglebot pose", "near")
+    ],  # twelve seconds each
+)
 def test_noise_free_measurements_give_back_the_robot(name, channels, n, frames, robot):
     """A robot at random within its tolerances, W and T near or of any size: 200 fresh poses to 1e-7 m and rad.
 
@@ -65,8 +72,9 @@ def test_noise_free_measurements_give_back_the_robot(name, channels, n, frames, 
     assert prediction_error(loaded, found.p, truth, channels, fresh) < (1e-6 if name == "jugglebot" else 1e-7)
 
 
-@pytest.mark.parametrize("seed", [1, 2])
-@pytest.mark.parametrize("name, sigma", [("ups3_s", 1e-9), ("jugglebot", 1e-6), ("jugglebot", 1e-7), ("ur10", 1e-9)])
+@pytest.mark.parametrize(
+    "name, sigma, seed", [("ups3_s", 1e-9, 1), ("ups3_s", 1e-9, 2), ("jugglebot", 1e-7, 1), ("ur10", 1e-9, 1)]
+)
 def test_identification_converges_however_precise_the_data(name, sigma, seed, robot):
     """Noise-free data and a sigma far below the tolerances: a narrow curved valley, and yet its bottom is found."""
     loaded = robot(name)

@@ -154,7 +154,7 @@ def test_what_it_refuses(cli, tmp_path, arguments, said):
 def test_the_study_is_the_papers():
     study = Study()
     found = points(study)
-    assert len(found) == len(set(found)) == 210 + 10 + 120 + 5 * 10 + 2 * 3
+    assert len(found) == len(set(found)) == 210 + 10 + 120 + 5 * 10 + 2 * 2
     assert {p.n for p in found if p.planned == 216 and p.hidden == 16} == set(range(10, 211, 10))
     robot, jobs = plan(study, (), Path("store"))
     assert robot.name == "ups3_s"
