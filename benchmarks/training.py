@@ -26,8 +26,8 @@ from benchmarks.setup import bench, grid
 from identification.accuracy import score
 from identification.error_model import BuiltRobot
 from identification.estimators import register
+from learning.members import Trained
 from learning.network import Network
-from learning.training import Trained
 from learning.transfer import new_network, train
 from pipeline.charts import Chart
 from urdf.description import Pretrain, Transfer

@@ -62,9 +62,12 @@ class BuiltRobot:
     instrument: Motion  # W
     target: Motion  # T
 
-    def close(self, readings: np.ndarray, start: np.ndarray | None = None) -> Closure:
-        """The closed configurations at readings (n, n_actuated); start: (n, n_joints) near by, where known."""
-        return forward(self.chain, self.actuators.joints(readings), start)
+    def close(self, readings: np.ndarray, start: np.ndarray | None = None, shift: np.ndarray | float = 0.0) -> Closure:
+        """The closed configurations at readings (n, n_actuated); start: (n, n_joints) near by, where known.
+
+        shift: (n, n_actuated) of the joints, beside what the actuators' zeros and gains say.
+        """
+        return forward(self.chain, self.actuators.joints(readings) + shift, start)
 
     def measured(self, tool: Motion) -> Motion:
         """A tool pose as the instrument sees it: W * tool pose * T."""
@@ -106,6 +109,12 @@ class ErrorModel:
         moved = chain.with_geometry(chain.rotation @ exp(xi[:, 3:]), chain.translation + xi[:, :3])
         actuators = Actuators(self.actuators.gain + gain, self.actuators.zero + zero)
         return BuiltRobot(moved, actuators, *(Motion.from_vector(v) for v in frames))
+
+    @property
+    def zeros(self) -> slice:
+        """The actuators' zeros among the parameters: (n_actuated,)."""
+        n = len(self.actuators.gain)
+        return slice(len(self.parameters) - 12 - 2 * n, len(self.parameters) - 12 - n)
 
     def with_frames(self, p: np.ndarray, instrument: Motion, target: Motion) -> np.ndarray:
         """p with W and T replaced."""

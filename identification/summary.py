@@ -106,7 +106,7 @@ def _residuals(
     prismatic = model.chain.prismatic[model.chain.actuated]
     actuators = np.full((len(measured), n), np.nan)
     if measured.rows_a_pose >= n:  # the pose determines the actuators: which change of theirs explains the residual?
-        by_zero = model.jacobian(estimate.p, measured, estimate.q, slice(-12 - 2 * n, -12 - n))
+        by_zero = model.jacobian(estimate.p, measured, estimate.q, model.zeros)
         actuators = -(np.linalg.pinv(by_zero) @ estimate.residual[..., None])[..., 0]
     size = ResidualSize(
         orientation_deg=_rms(sizes.get("orientation"), 180 / np.pi),

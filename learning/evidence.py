@@ -11,9 +11,9 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.linalg.lapack import dpotrf, dpotri  # pyright: ignore[reportAttributeAccessIssue]
-from scipy.stats import chi2
+from scipy.special import chdtri
 
-from learning.correction import variance
+from learning.correction import HELD, variance
 
 _ITERATIONS = 60
 _SETTLED = 1e-2  # of the logarithm of a precision: predictions change by a millionth
@@ -21,7 +21,6 @@ _PRECISIONS = (1e-6, 1e9)  # beyond: the group is as good as free, or gone
 _START = 0.1
 _LEAST_NOISE = 1e-6  # of a row
 _GONE = 0.05  # of a column, determined by the data: the group is not needed
-_HELD = 0.95  # of unseen errors, within the regions that calibration makes come true
 _FEW = 0.8  # the same with too few poses to see the 95 % by
 _ENOUGH = 40  # poses
 _INFLATION = (0.1, 1e4)  # of a covariance
@@ -160,8 +159,8 @@ def inflation(error: np.ndarray, spread: np.ndarray, noise: float = 1.0) -> floa
     # where the noise hides the spread, the spread is believed
     seen = float(np.trace(np.mean(spread, axis=0))) / m / noise
     trust = seen / (1 + seen)
-    held = _HELD if n >= _ENOUGH else _FEW
-    reach, rank = chi2.ppf(held, m), min(int(np.ceil(held * (n + 1))), n) - 1
+    held = HELD if n >= _ENOUGH else _FEW
+    reach, rank = chdtri(m, 1 - held), min(int(np.ceil(held * (n + 1))), n) - 1
 
     def distance(factor: float) -> float:
         square = np.linalg.solve(noise * np.eye(m) + factor * spread, error[..., None])[..., 0]

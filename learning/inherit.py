@@ -10,7 +10,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from learning.network import Layout, Network, initial_weights
+from learning.network import Network, initial_weights
 from learning.units import Inherited, range_of
 
 _LEAST = 0.02  # of the first component's size: smaller ones are left out
@@ -29,7 +29,7 @@ def inherit(
 ) -> tuple[Inherited, np.ndarray]:
     """Learn residuals (s, n, k) of s siblings at readings x (n, k); also the training curve (iterations, 2)."""
     from learning.first_order import adam  # imports torch: two seconds, for those who train
-    from learning.training import Problem
+    from learning.members import Problem
 
     s, n, k = residuals.shape
     size = np.sqrt(np.mean(residuals**2, axis=(0, 1)))  # of each joint
@@ -40,13 +40,13 @@ def inherit(
     components = np.sqrt(n) * left[:, :kept]  # of unit size
     shares = sizes[:kept] / max(float(np.linalg.norm(sizes[:kept])), 1e-300)
     coefficients = (sizes[:kept, None] * right[:kept]).reshape(kept, s, k) / np.sqrt(n)
-    layout = Layout.dense(k, hidden, kept)
-    start = initial_weights(layout, np.random.default_rng([seed, 11]))
+    sizes = (k, hidden, hidden, kept)
+    start = initial_weights(sizes, np.random.default_rng([seed, 11]))
     centre, span = range_of(x)
-    network = Network(layout.sizes, start, centre, span, np.ones(kept))
+    network = Network(sizes, start, centre, span, np.ones(kept))
     # an error counts by the share of all residuals that it is an error of
     gain = np.broadcast_to(np.diag(shares), (1, n, kept, kept))
     ones = np.ones((1, n))
     problem = Problem(network.scaled(x)[None], -(components * shares)[None], gain, ones, 0 * ones)
-    found = adam(problem, layout, start[None], iterations=iterations, progress=progress)
+    found = adam(problem, sizes, start[None], iterations=iterations, progress=progress)
     return Inherited(network.with_weights(found.weights[0]), np.sqrt(np.mean(coefficients**2, axis=1))), found.curve

@@ -10,21 +10,14 @@ from itertools import pairwise
 
 import numpy as np
 
-
-@dataclass(frozen=True)
-class Layout:
-    sizes: tuple[int, int, int, int]
-
-    @staticmethod
-    def dense(n_in: int, hidden: int, n_out: int) -> Layout:
-        return Layout((n_in, hidden, hidden, n_out))
+Sizes = tuple[int, int, int, int]  # n_in, H, H, n_out
 
 
 @dataclass(frozen=True)
 class Network:
     """y = output_scale * net((x - input_centre) / input_scale)."""
 
-    sizes: tuple[int, int, int, int]
+    sizes: Sizes
     weights: np.ndarray  # (n_weights,)
     input_centre: np.ndarray  # (n_in,)
     input_scale: np.ndarray  # (n_in,)
@@ -51,12 +44,12 @@ class Network:
         return replace(self, weights=weights)
 
 
-def count(sizes: tuple[int, int, int, int]) -> int:
+def count(sizes: Sizes) -> int:
     n_in, first, second, n_out = sizes
     return first * (n_in + 1) + second * (first + 1) + n_out * (second + 1)
 
 
-def split(weights, sizes: tuple[int, int, int, int]) -> list:
+def split(weights, sizes: Sizes) -> list:
     """Views W1 (H, n_in), b1, W2 (H, H), b2, W3 (n_out, H), b3 of flat weights (..., n_weights); numpy or torch."""
     found, start = [], 0
     for n_in, n_out in pairwise(sizes):
@@ -67,10 +60,10 @@ def split(weights, sizes: tuple[int, int, int, int]) -> list:
     return found
 
 
-def initial_weights(layout: Layout, random: np.random.Generator) -> np.ndarray:
+def initial_weights(sizes: Sizes, random: np.random.Generator) -> np.ndarray:
     """(n_weights,) after Nguyen and Widrow (1990): hidden units spread over scaled inputs in [-1, 1]."""
-    weights = random.uniform(-1, 1, count(layout.sizes))
-    w1, b1, w2, b2, w3, b3 = split(weights, layout.sizes)
+    weights = random.uniform(-1, 1, count(sizes))
+    w1, b1, w2, b2, w3, b3 = split(weights, sizes)
     for w, b in ((w1, b1), (w2, b2)):
         units, fan_in = w.shape
         length = 0.7 * units ** (1 / fan_in)

@@ -12,11 +12,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.stats import chi2, trim_mean
-from scipy.stats import f as f_distribution
-from scipy.stats import t as student
+from scipy.special import chdtri, fdtri, stdtrit
 
-from learning.correction import Correction, Hull, Spread
+from learning.correction import HELD, Correction, Hull, Spread
 from learning.evidence import Posterior, Rows, Unseen, cross_validated, inflation, posterior
 from learning.units import INHERITED, OWN, SHARED, WAVES, Inherited, Units, range_of, shared_units
 from learning.waves import find_waves
@@ -28,7 +26,6 @@ _PARTS, _REPEATS = (0.4, 0.55, 0.7, 0.85), 4  # of the learning curve
 _LEAST_POSES = 8  # of it
 _TRIMMED = 0.03  # of the poses, on either side: outliers
 _INSTRUMENTS = 0.1  # share of the noise, where nobody gave their sigmas
-_HELD = 0.95  # of the regions that are told
 STRUCTURES = {  # simple ones first: of equals the first is taken
     "each joint its own": (OWN,),
     "periodic": (WAVES,),
@@ -52,6 +49,10 @@ class Task:
     by_output: np.ndarray  # (n, m, k) d error / d delta
     sigmas_known: bool = True  # else the rows were whitened by what the model alone leaves
 
+    def told(self, basis: np.ndarray) -> Task:
+        """The task with the model's parameters along basis (P, r) alone."""
+        return replace(self, by_model=self.by_model @ basis)
+
 
 def fit_correction(
     task: Task, folds: Sequence[np.ndarray], inherited: Inherited | None, *, own: int, shared: int, seed: int
@@ -61,17 +62,16 @@ def fit_correction(
     folds: poses held out in turn. Of the structures the one with the least error in cross-validation is taken.
     """
     basis = _told_apart(task)
-    seen = replace(task, by_model=task.by_model @ basis)
-    centre, span = range_of(task.x)
-    model = Rows(seen.error, seen.by_model, np.zeros(basis.shape[1], dtype=int), task.sigmas_known)
+    seen = task.told(basis)
+    units = Units(*range_of(task.x), own, np.zeros((0, 2)), shared_units(task.x.shape[1], shared, seed), inherited)
+    model = _rows(seen, _only(units, ()), np.ones(task.x.shape[1]))
     modelled, alone = cross_validated(model, folds)
     # the least outputs that explain what the model leaves set their scale
     needed = np.linalg.pinv(task.by_output) @ model.left(modelled.mean)[..., None]
     scale = np.maximum(np.sqrt(np.mean(needed[..., 0] ** 2, axis=0)), 1e-12)
-    everything = Units(centre, span, own, np.zeros((0, 2)), shared_units(len(centre), shared, seed), inherited)
-    known = _rows(seen, _only(everything, (INHERITED,)), scale)
-    waves = find_waves(everything.scaled(task.x), task.error, known.columns, task.by_output * scale)
-    everything = replace(everything, waves=waves)
+    known = _rows(seen, _only(units, (INHERITED,)), scale)
+    waves = find_waves(units.scaled(task.x), task.error, known.columns, task.by_output * scale)
+    everything = replace(units, waves=waves)
     losses, tried = {"": alone.loss}, []
     for name, groups in STRUCTURES.items():
         units = _only(everything, groups)
@@ -82,7 +82,7 @@ def fit_correction(
     _, _, name, units, found, unseen = min(tried)
     evidence = _evidence(alone, unseen)
     more_probable = found.log_evidence - modelled.log_evidence
-    likely = evidence > student.isf(_CHANCE, len(task.x) - 1) and more_probable > 1
+    likely = evidence > stdtrit(len(task.x) - 1, 1 - _CHANCE) and more_probable > 1
     sure = likely or (more_probable > _PROBABLE and evidence > 1)
     change = unseen.error - alone.error
     shrinkage = float(np.clip(-np.sum(alone.error * change) / max(np.sum(change**2), 1e-300), 0.0, 1.0))
@@ -120,9 +120,8 @@ def learning_curve(task: Task, correction: Correction, seed: int) -> np.ndarray:
     Of the model alone and of the model with the correction, trained on parts of the poses and tried on the others.
     """
     basis, (n, m) = correction.refined.basis, task.error.shape
-    seen = replace(task, by_model=task.by_model @ basis)
-    model = Rows(seen.error, seen.by_model, np.zeros(basis.shape[1], dtype=int), task.sigmas_known)
-    refined = _rows(seen, correction.units, correction.scale)
+    seen = task.told(basis)
+    model, refined = (_rows(seen, units, correction.scale) for units in (_only(correction.units, ()), correction.units))
     near = [posterior(rows.sums(slice(None)), rows.group) for rows in (model, refined)]
     noise = 1.0 if task.sigmas_known else min(near[1].noise, 1.0)
     random, found = np.random.default_rng([seed, 14]), []
@@ -135,15 +134,20 @@ def learning_curve(task: Task, correction: Correction, seed: int) -> np.ndarray:
             for own, rows, all_seen in zip(squares, (model, refined), near, strict=True):
                 fitted = posterior(rows.sums(train), rows.group, all_seen)
                 square = np.sum(rows.left(fitted.mean, rest) ** 2, axis=1)
-                own.append(float(trim_mean(square, _TRIMMED)))
+                own.append(_trimmed_mean(square))
         found.append((size, *(np.sqrt(max(np.mean(own) - noise * m, 0.0)) for own in squares)))
     return np.array(found, dtype=float).reshape(-1, 3)
+
+
+def _trimmed_mean(square: np.ndarray) -> float:
+    cut = int(_TRIMMED * len(square))
+    return float(np.mean(np.sort(square)[cut : len(square) - cut]))
 
 
 def refit(correction: Correction, task: Task) -> tuple[Correction, np.ndarray]:
     """The same correction at another linearisation of its task."""
     basis = correction.refined.basis
-    rows = _rows(replace(task, by_model=task.by_model @ basis), correction.units, correction.scale)
+    rows = _rows(task.told(basis), correction.units, correction.scale)
     mean = posterior(rows.sums(slice(None)), rows.group).mean
     return replace(correction, readout=mean[basis.shape[1] :]), basis @ mean[: basis.shape[1]]
 
@@ -178,6 +182,6 @@ def _spread(found: Posterior, unseen: Unseen, task: Task, scale: np.ndarray, bas
     unexplained = np.sqrt(beyond / max(mean_trace, 1e-300))
     rest = unexplained**2 * outputs @ outputs.swapaxes(1, 2)
     m = task.error.shape[1]
-    unsure = m * f_distribution.ppf(_HELD, m, found.freedom) / chi2.ppf(_HELD, m)  # the noise is an estimate, too
+    unsure = m * fdtri(m, found.freedom, HELD) / chdtri(m, 1 - HELD)  # the noise is an estimate, too
     factor = float(unsure) * inflation(unseen.error, unseen.spread + rest, noise)
     return Spread(basis, found.covariance, float(unexplained), factor)

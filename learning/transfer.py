@@ -6,8 +6,9 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from learning.network import Layout, Network, count, initial_weights
-from learning.training import Problem, Trained, levenberg_marquardt
+from learning.members import Problem, Trained
+from learning.network import Network, count, initial_weights
+from learning.training import levenberg_marquardt
 
 _LEAST_RANGE = 1e-2  # of an output, of the largest: what a drawing holds still moves as built
 _MOST_WEIGHTS_A_VALUE = 100  # the paper itself has 387 weights for 450 values; far beyond, training is no use
@@ -24,10 +25,10 @@ def allowed_hidden(n_in: int, n_out: int, n_poses: int) -> int:
 def new_network(joints: np.ndarray, outputs: np.ndarray, hidden: int, seed: int) -> Network:
     """A random network scaled to the source task: joints (n, n_in) and outputs (n, n_out)."""
     low, high, largest = joints.min(axis=0), joints.max(axis=0), np.abs(outputs).max(axis=0)
-    layout = Layout.dense(joints.shape[1], hidden, outputs.shape[1])
+    sizes = (joints.shape[1], hidden, hidden, outputs.shape[1])
     return Network(
-        sizes=layout.sizes,
-        weights=initial_weights(layout, np.random.default_rng([seed, 6])),
+        sizes=sizes,
+        weights=initial_weights(sizes, np.random.default_rng([seed, 6])),
         input_centre=(low + high) / 2,
         input_scale=np.where(high > low, (high - low) / 2, 1.0),  # an input that never moves says nothing
         output_scale=np.maximum(largest, max(_LEAST_RANGE * largest.max(), 1e-12)),
@@ -62,7 +63,7 @@ def train(
         train=used,
         validate=held,
     )
-    layout = Layout(first.sizes)
+    sizes = first.sizes
     start = np.stack([network.weights for network in networks])
-    found = levenberg_marquardt(problem, layout, start, iterations=iterations, progress=progress)
+    found = levenberg_marquardt(problem, sizes, start, iterations=iterations, progress=progress)
     return [network.with_weights(w) for network, w in zip(networks, found.weights, strict=True)], found

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 import scipy.linalg
-from scipy.stats import f as f_distribution
+from scipy.special import fdtrc
 
 _STEP = 0.2  # of a cycle over the measured range: between two periods that are tried
 _LOWEST, _HIGHEST = 0.5, 100.0  # cycles over the range
@@ -56,7 +56,7 @@ def find_waves(x: np.ndarray, error: np.ndarray, columns: np.ndarray, gain: np.n
         j, f = np.unravel_index(int(np.argmax(explained)), explained.shape)
         energy, free = float(left @ left), free - 2
         ratio = (explained[j, f] / 2) / max((energy - explained[j, f]) / free, 1e-300)
-        if f_distribution.sf(ratio, 2, free) * explained.size > _CHANCE:
+        if fdtrc(2, free, ratio) * explained.size > _CHANCE:
             break
         near = cycles[f] + _STEP * np.linspace(-0.5, 0.5, _FINER)
         fine = [v - basis @ (basis.T @ v) for v in waves(int(j), near)]

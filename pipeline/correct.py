@@ -15,7 +15,7 @@ from learning.residual import Task, fit_correction, learning_curve, refit
 from learning.units import Inherited
 from pipeline.results import Corrected, Fit
 from urdf.description import Correct
-from urdf.kinematics import Closure, forward
+from urdf.kinematics import Closure
 
 _FOLDS, _FEW = 10, 20  # of cross-validation; up to so many poses, each is left out alone
 _BELOW = 0.1  # of the sigma that geometry leaves
@@ -30,9 +30,7 @@ class _State:
     correction: Correction | None
 
     def close(self, model: ErrorModel, readings: np.ndarray) -> Closure:
-        robot = model.robot(self.p)
-        joints = robot.actuators.joints(readings)
-        return forward(robot.chain, joints + self.delta(readings))
+        return model.robot(self.p).close(readings, shift=self.delta(readings))
 
     def delta(self, readings: np.ndarray) -> np.ndarray:
         return np.zeros_like(readings) if self.correction is None else self.correction(readings)
@@ -83,12 +81,6 @@ def _task(model: ErrorModel, poses: Measurements, state: _State, sigmas_known: b
     q = state.close(model, poses.readings).require(lambda row: f"correct: pose {poses.pose[row]}").q
     error = model.residual(model.robot(state.p), q, poses)
     jacobian = model.jacobian(state.p, poses, q)
-    by_output = by_zeros(model, jacobian)
+    by_output = jacobian[:, :, model.zeros]
     drawn = error - jacobian @ state.p - (by_output @ state.delta(poses.readings)[..., None])[..., 0]
     return Task(poses.readings, drawn, jacobian * prior_sigma(model.parameters), by_output, sigmas_known)
-
-
-def by_zeros(model: ErrorModel, jacobian: np.ndarray) -> np.ndarray:
-    """(n, rows, n_actuated): the columns of the actuators' zeros in jacobian (n, rows, n_parameters)."""
-    n = len(model.actuators.gain)
-    return jacobian[:, :, -12 - 2 * n : -12 - n]

@@ -14,7 +14,7 @@ from learning.network import Network
 from pipeline.charts import Chart
 from pipeline.goal import WHOLE, Goal
 from pipeline.results import Corrected, Fit, Learned
-from urdf.kinematics import Closure, actuator_jacobian, forward, tool_coordinates
+from urdf.kinematics import Closure, actuator_jacobian, tool_coordinates
 from urdf.rigid_motion import Motion, exp, log, wrap
 
 METHODS = ("nominal", "geometric", "network", "transfer", "transfer_identified", "hybrid")  # in the table's order
@@ -47,7 +47,7 @@ class ModelMethod:
     name: str = "geometric"
 
     def close(self, readings: np.ndarray) -> Closure:
-        return forward(self.robot.chain, self.robot.actuators.joints(readings))
+        return self.robot.close(readings)
 
     def predict(self, readings: np.ndarray) -> Motion:
         closure = self.close(readings).require(lambda row: f"row {row + 1}")
@@ -77,7 +77,7 @@ class HybridMethod:
 
     def close(self, readings: np.ndarray) -> Closure:
         """The refined model's configurations, with the correction."""
-        return forward(self.refined.chain, self.refined.actuators.joints(readings) + self.correction(readings))
+        return self.refined.close(readings, shift=self.correction(readings))
 
     def predict(self, readings: np.ndarray) -> Motion:
         pose, share = self.geometric.predict(readings), self.correction.share(readings)

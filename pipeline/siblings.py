@@ -14,7 +14,6 @@ import scipy.linalg
 from identification.error_model import ErrorModel
 from identification.expected import expected, prior_sigma
 from identification.measurements import default_channels
-from pipeline.correct import by_zeros
 from urdf.closed_chain import ClosedChain
 from urdf.description import Sensor
 from urdf.kinematics import passive_rates, point_jacobian, tool_point_jacobian, tree
@@ -54,15 +53,14 @@ def unexplained(model: ErrorModel, readings: np.ndarray, q: np.ndarray, give: np
     channels, zero = default_channels(model.chain.tool_axes), np.zeros(len(model.parameters))
     seen = expected(model, zero, readings, q, channels, Sensor())
     jacobian = model.jacobian(zero, seen, q)
-    by_zero = by_zeros(model, jacobian)
     # the geometry's effect as a shift of the joints
-    as_shift = np.linalg.pinv(by_zero) @ (jacobian * prior_sigma(model.parameters))
+    as_shift = np.linalg.pinv(jacobian[:, :, model.zeros]) @ (jacobian * prior_sigma(model.parameters))
     columns = as_shift.reshape(-1, as_shift.shape[2])
-    size = model.parameters.tolerance[-12 - 2 * len(model.actuators.gain) : -12 - len(model.actuators.gain)]
+    size = model.parameters.tolerance[model.zeros]
     shifts = (give * size).reshape(len(give), -1).T
     noise = _LEFT * np.sqrt(np.mean(size**2))
-    q_, r = np.linalg.qr(np.concatenate([columns / noise, np.eye(columns.shape[1])]))
-    geometry = scipy.linalg.solve_triangular(r, q_[: len(columns)].T @ shifts / noise)
+    basis, r = np.linalg.qr(np.concatenate([columns / noise, np.eye(columns.shape[1])]))
+    geometry = scipy.linalg.solve_triangular(r, basis[: len(columns)].T @ shifts / noise)
     left = shifts - columns @ geometry
     return left.T.reshape(give.shape)
 

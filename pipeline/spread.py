@@ -6,15 +6,13 @@ Of the robot itself, without the noise of an instrument that looks at it. Calibr
 from __future__ import annotations
 
 import numpy as np
-from scipy.stats import chi2
+from scipy.special import gammaincinv
 
 from identification.error_model import ErrorModel
 from identification.expected import prior_sigma
-from pipeline.correct import by_zeros
+from learning.correction import HELD
 from pipeline.methods import HybridMethod, ModelMethod
 from pipeline.results import Corrected, Fit
-
-_HELD = 0.95
 
 
 def pose_covariance(
@@ -44,7 +42,7 @@ def _alone(model: ErrorModel, fit: Fit, corrected: Corrected, method: ModelMetho
 
 def _derivatives(model: ErrorModel, p: np.ndarray, readings: np.ndarray, q: np.ndarray):
     jacobian = model.pose_jacobian(p, readings, q)
-    return jacobian * prior_sigma(model.parameters), by_zeros(model, jacobian)
+    return jacobian * prior_sigma(model.parameters), jacobian[:, :, model.zeros]
 
 
 def seen_from(covariance: np.ndarray, up: np.ndarray) -> np.ndarray:
@@ -58,7 +56,7 @@ def sigma(covariance: np.ndarray, axes: int = 3) -> np.ndarray:
     return np.sqrt(np.trace(covariance, axis1=1, axis2=2) / axes)
 
 
-def radius(covariance: np.ndarray, held: float = _HELD) -> np.ndarray:
+def radius(covariance: np.ndarray, held: float = HELD) -> np.ndarray:
     """(n,) within which the true value lies with probability `held`; covariance: (n, k, k).
 
     The distance's square is a sum of weighted chi-squares; a scaled chi-square of the same mean and variance stands for
@@ -67,4 +65,4 @@ def radius(covariance: np.ndarray, held: float = _HELD) -> np.ndarray:
     mean = np.trace(covariance, axis1=1, axis2=2)
     square = np.maximum(np.sum(covariance**2, axis=(1, 2)), 1e-300)
     freedom = np.maximum(mean**2 / square, 1e-9)
-    return np.sqrt(np.maximum(mean, 0.0) / freedom * chi2.ppf(held, freedom))
+    return np.sqrt(np.maximum(mean, 0.0) / freedom * 2 * gammaincinv(freedom / 2, held))

@@ -6,17 +6,17 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
-from learning.network import Layout, Network, count, initial_weights, split
+from learning.network import Network, Sizes, count, initial_weights, split
 from learning.transfer import new_network
 
 SIZES = st.tuples(*[st.integers(1, 9)] * 4)
 
 
-def random_network(layout: Layout, seed: int = 0) -> Network:
+def random_network(sizes: Sizes, seed: int = 0) -> Network:
     random = np.random.default_rng(seed)
-    n_in, n_out = layout.sizes[0], layout.sizes[3]
+    n_in, n_out = sizes[0], sizes[3]
     scales = random.uniform(0.1, 3.0, n_in), random.uniform(0.01, 5.0, n_out)
-    return Network(layout.sizes, initial_weights(layout, random), random.normal(size=n_in), *scales)
+    return Network(sizes, initial_weights(sizes, random), random.normal(size=n_in), *scales)
 
 
 def inputs(network: Network, n: int, seed: int = 1) -> np.ndarray:
@@ -37,7 +37,7 @@ def as_torch(network: Network) -> torch.nn.Sequential:
 @given(sizes=SIZES, seed=st.integers(0, 99))
 def test_forward_pass(sizes, seed):
     """Against torch.nn.Linear and Tanh, inputs and outputs scaled by hand."""
-    network = random_network(Layout(sizes), seed)
+    network = random_network(sizes, seed)
     x = inputs(network, 7)
     with torch.no_grad():
         scaled = torch.from_numpy((x - network.input_centre) / network.input_scale)
@@ -48,7 +48,7 @@ def test_forward_pass(sizes, seed):
 @pytest.mark.parametrize("hidden", [1, 8])
 def test_jacobian(hidden, central_difference):
     """Against central differences of fourth order, at points inside and outside of the training range."""
-    network = random_network(Layout.dense(3, hidden, 2))
+    network = random_network((3, hidden, hidden, 2))
     for x in inputs(network, 5):
         expected = central_difference(network, x)
         np.testing.assert_allclose(network.jacobian(x[None])[0], expected, rtol=1e-7, atol=1e-9)
@@ -78,12 +78,12 @@ def test_split_of_a_batch_is_a_view():
 
 def test_initial_weights():
     """The same for the same seed; and every hidden unit bends within the inputs' range."""
-    layout = Layout.dense(3, 16, 3)
-    weights = initial_weights(layout, np.random.default_rng(3))
+    sizes = (3, 16, 16, 3)
+    weights = initial_weights(sizes, np.random.default_rng(3))
     assert np.all(weights != 0)
-    np.testing.assert_array_equal(weights, initial_weights(layout, np.random.default_rng(3)))
-    assert np.any(weights != initial_weights(layout, np.random.default_rng(4)))
-    w1, b1, *_ = split(weights, layout.sizes)
+    np.testing.assert_array_equal(weights, initial_weights(sizes, np.random.default_rng(3)))
+    assert np.any(weights != initial_weights(sizes, np.random.default_rng(4)))
+    w1, b1, *_ = split(weights, sizes)
     x = np.random.default_rng(5).uniform(-1, 1, (500, 3))
     slope = 1 - np.tanh(x @ w1.T + b1) ** 2
     assert slope.max(axis=0).min() > 0.5

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from learning.correction import Correction
-from learning.network import Layout, Network, initial_weights
+from learning.network import Network, initial_weights
 from learning.residual import STRUCTURES, Task, fit_correction, learning_curve, refit
 from learning.units import Inherited
 
@@ -59,9 +59,9 @@ def task(n: int, seed: int, delta, noise: float = 1.0) -> Task:
 
 def inherited() -> Inherited:
     """Four smooth functions of all joints."""
-    layout = Layout.dense(JOINTS, 6, 4)
-    weights = initial_weights(layout, np.random.default_rng(8))
-    return Inherited(Network(layout.sizes, weights, (LOW + HIGH) / 2, (HIGH - LOW) / 2, np.ones(4)), np.ones((4, 3)))
+    sizes = (JOINTS, 6, 6, 4)
+    weights = initial_weights(sizes, np.random.default_rng(8))
+    return Inherited(Network(sizes, weights, (LOW + HIGH) / 2, (HIGH - LOW) / 2, np.ones(4)), np.ones((4, 3)))
 
 
 def parts(n: int) -> list[np.ndarray]:

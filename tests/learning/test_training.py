@@ -8,15 +8,16 @@ import torch
 from scipy.optimize import least_squares
 
 from learning.first_order import adam
-from learning.network import Layout, Network, initial_weights
+from learning.members import Problem
+from learning.network import Network, Sizes, initial_weights
 from learning.normal_equations import Dual, Primal, Rows, linearised
-from learning.training import Problem, levenberg_marquardt
+from learning.training import levenberg_marquardt
 
 
-def network(layout: Layout, weights: torch.Tensor, x: torch.Tensor) -> torch.Tensor:
+def network(sizes: Sizes, weights: torch.Tensor, x: torch.Tensor) -> torch.Tensor:
     """The network of one input vector, written with nothing but torch's own functions."""
     parts, start = [], 0
-    for n_in, n_out in ((layout.sizes[0], layout.sizes[1]), layout.sizes[1:3], layout.sizes[2:]):
+    for n_in, n_out in ((sizes[0], sizes[1]), sizes[1:3], sizes[2:]):
         w = weights[start : start + n_in * n_out].view(n_out, n_in)
         b = weights[start + n_in * n_out : start + (n_in + 1) * n_out]
         parts.append((w, b))
@@ -35,22 +36,22 @@ def problem(batch: int, n: int, n_in: int, n_out: int, m: int | None, seed: int 
     return Problem(random.uniform(-1, 1, (batch, n, n_in)), offset, gain, train, (train == 0).astype(float))
 
 
-def random_start(layout: Layout, batch: int, seed: int = 0) -> np.ndarray:
-    return np.stack([initial_weights(layout, np.random.default_rng([seed, k])) for k in range(batch)])
+def random_start(sizes: Sizes, batch: int, seed: int = 0) -> np.ndarray:
+    return np.stack([initial_weights(sizes, np.random.default_rng([seed, k])) for k in range(batch)])
 
 
 @pytest.mark.parametrize("rows", [None, 5], ids=["regression", "gain"])
 def test_normal_equations(rows, monkeypatch):
     """J^T W e, J^T W J, J W J^T and products with J, against J by torch's jacrev, mapped over poses and tasks."""
-    layout = Layout.dense(3, 4, 2)
-    task = problem(3, 7, layout.sizes[0], layout.sizes[3], rows)
-    start = random_start(layout, 3)
+    sizes = (3, 4, 4, 2)
+    task = problem(3, 7, sizes[0], sizes[3], rows)
+    start = random_start(sizes, 3)
     weights, x, offset, train = (torch.from_numpy(v) for v in (start, task.x, task.offset, task.train))
-    unit = torch.eye(layout.sizes[3], dtype=torch.float64).expand(3, 7, -1, -1)
+    unit = torch.eye(sizes[3], dtype=torch.float64).expand(3, 7, -1, -1)
     gain = unit if task.gain is None else torch.from_numpy(task.gain)
 
     def error(w, x, offset, gain):
-        return offset + gain @ network(layout, w, x)
+        return offset + gain @ network(sizes, w, x)
 
     over_poses = torch.vmap(torch.func.jacrev(error), (None, 0, 0, 0))
     jacobian = torch.vmap(over_poses)(weights, x, offset, gain)
@@ -59,11 +60,11 @@ def test_normal_equations(rows, monkeypatch):
     gradient = torch.einsum("bn,bnmi,bnm->bi", train, jacobian, errors)
     given = Rows.of(task.x, task.offset, task.gain, task.train)
     monkeypatch.setattr("learning.normal_equations._CHUNK", 3)  # so that there are several chunks
-    for k, found in enumerate(Primal.of(weights, layout.sizes, given)):
+    for k, found in enumerate(Primal.of(weights, sizes, given)):
         close(found.normal, normal[k])
         close(found.gradient, gradient[k])
     root = train.sqrt()[:, :, None, None]
-    for k, found in enumerate(Dual.of(weights, layout.sizes, given)):
+    for k, found in enumerate(Dual.of(weights, sizes, given)):
         rooted = (jacobian * root)[k].transpose(0, 1).flatten(0, 1)
         close(found.kernel, rooted @ rooted.T)
         close(found.times(weights[0]), rooted @ weights[0])
@@ -77,15 +78,15 @@ def close(found: torch.Tensor, expected: torch.Tensor) -> None:
 @pytest.mark.parametrize("seed", range(4))
 def test_reaches_the_minimum_of_scipy(seed):
     """The same problem by scipy's least_squares from the same start; a decay makes its minimum regular."""
-    layout = Layout.dense(1, 3, 1)
+    sizes = (1, 3, 3, 1)
     x = np.linspace(-1, 1, 30)[None, :, None]
     y = 0.8 * np.sin(2 * x) + 0.3
-    start = random_start(layout, 1, seed)
+    start = random_start(sizes, 1, seed)
     task = Problem(x, -y, None, np.ones((1, 30)), np.zeros((1, 30)))
-    found = levenberg_marquardt(task, layout, start, iterations=500, patience=500, decay=np.array([0.1]))
+    found = levenberg_marquardt(task, sizes, start, iterations=500, patience=500, decay=np.array([0.1]))
 
     def residuals(w: np.ndarray) -> np.ndarray:
-        at = Network(layout.sizes, w, np.zeros(1), np.ones(1), np.ones(1))
+        at = Network(sizes, w, np.zeros(1), np.ones(1), np.ones(1))
         return np.concatenate([(at(x[0]) - y[0]).ravel(), np.sqrt(0.1) * (w - start[0])])
 
     expected = least_squares(residuals, start[0], xtol=1e-15, ftol=1e-15, gtol=1e-12)
@@ -96,14 +97,14 @@ def test_reaches_the_minimum_of_scipy(seed):
 def test_a_linear_problem_in_disguise():
     """Inputs so small that tanh is linear, a gain, row weights: the error left against linear least squares'."""
     random = np.random.default_rng(4)
-    layout = Layout.dense(2, 3, 2)
+    sizes = (2, 3, 3, 2)
     x = 1e-4 * random.uniform(-1, 1, (1, 50, 2))
     gain, weight = random.normal(size=(1, 50, 3, 2)), random.uniform(0.5, 2, (1, 50))
     offset = 1e-3 * random.normal(size=(1, 50, 3)) + gain[..., 0] * x[..., :1] * 0.1
     found = levenberg_marquardt(
         Problem(x, offset, gain, weight, np.zeros((1, 50))),
-        layout,
-        random_start(layout, 1),
+        sizes,
+        random_start(sizes, 1),
         iterations=300,
         patience=300,
     )
@@ -118,87 +119,87 @@ def test_a_linear_problem_in_disguise():
 
 def test_a_network_is_found_again():
     """Outputs of a known network of the same size, from a start near by: the error falls to rounding."""
-    layout = Layout.dense(2, 3, 2)
-    true = random_start(layout, 1)
+    sizes = (2, 3, 3, 2)
+    true = random_start(sizes, 1)
     x = np.random.default_rng(1).uniform(-1, 1, (1, 60, 2))
-    y = Network(layout.sizes, true[0], np.zeros(2), np.ones(2), np.ones(2))(x[0])
+    y = Network(sizes, true[0], np.zeros(2), np.ones(2), np.ones(2))(x[0])
     start = true + 0.05 * np.random.default_rng(2).normal(size=true.shape)
     task = Problem(x, -y[None], None, np.ones((1, 60)), np.zeros((1, 60)))
-    assert levenberg_marquardt(task, layout, start, iterations=100, patience=100).train_loss[0] < 1e-20
+    assert levenberg_marquardt(task, sizes, start, iterations=100, patience=100).train_loss[0] < 1e-20
 
 
 def test_a_gain_is_trained_through():
     """A network seen only through gains (two rows a pose, three outputs) against training on its outputs themselves."""
     random = np.random.default_rng(3)
-    layout = Layout.dense(2, 4, 3)
+    sizes = (2, 4, 4, 3)
     x = random.uniform(-1, 1, (1, 200, 2))
     y = np.stack([np.sin(x[..., 0]), x[..., 0] * x[..., 1], np.cos(x[..., 1])], axis=-1)
     gain = random.normal(size=(1, 200, 2, 3))
     offset = -(gain @ y[..., None])[..., 0]
     task = Problem(x, offset, gain, np.ones((1, 200)), np.zeros((1, 200)))
-    found = levenberg_marquardt(task, layout, random_start(layout, 1), iterations=200, patience=200)
-    fitted = Network(layout.sizes, found.weights[0], np.zeros(2), np.ones(2), np.ones(3))(x[0])
+    found = levenberg_marquardt(task, sizes, random_start(sizes, 1), iterations=200, patience=200)
+    fitted = Network(sizes, found.weights[0], np.zeros(2), np.ones(2), np.ones(3))(x[0])
     assert np.sqrt(np.mean((fitted - y[0]) ** 2)) < 0.01
 
 
 def test_tasks_of_a_batch_know_nothing_of_each_other():
     """Three tasks at once against one at a time: damping, stopping and data are each task's own."""
-    layout = Layout.dense(3, 4, 2)
-    task, start = problem(3, 40, 3, 2, None), random_start(layout, 3)
+    sizes = (3, 4, 4, 2)
+    task, start = problem(3, 40, 3, 2, None), random_start(sizes, 3)
     decay = np.array([0.1, 1.0, 10.0])
     options = {"iterations": 15, "patience": 4}
-    together = levenberg_marquardt(task, layout, start, decay=decay, **options)
+    together = levenberg_marquardt(task, sizes, start, decay=decay, **options)
     for k in range(3):
         own = Problem(task.x[k : k + 1], task.offset[k : k + 1], None, task.train[k : k + 1], task.validate[k : k + 1])
-        alone = levenberg_marquardt(own, layout, start[k : k + 1], decay=decay[k : k + 1], **options)
+        alone = levenberg_marquardt(own, sizes, start[k : k + 1], decay=decay[k : k + 1], **options)
         np.testing.assert_allclose(together.weights[k], alone.weights[0], rtol=0, atol=1e-9)
         assert together.validation_loss[k] == pytest.approx(alone.validation_loss[0], rel=1e-9)
 
 
 def test_rows_of_weight_zero_are_not_there():
     """Against the problem without these rows, whatever nonsense stands in them."""
-    layout = Layout.dense(3, 4, 2)
-    task, start = problem(1, 40, 3, 2, None), random_start(layout, 1)
+    sizes = (3, 4, 4, 2)
+    task, start = problem(1, 40, 3, 2, None), random_start(sizes, 1)
     keep = task.train[0] > 0
     spoiled = np.where(keep[None, :, None], task.offset, 1e3)
     none = np.zeros((1, 40))
     decay = np.array([1.0])
     whole = Problem(task.x, spoiled, None, task.train, none)
     part = Problem(task.x[:, keep], task.offset[:, keep], None, task.train[:, keep], none[:, keep])
-    one, other = (levenberg_marquardt(p, layout, start, iterations=10, decay=decay) for p in (whole, part))
+    one, other = (levenberg_marquardt(p, sizes, start, iterations=10, decay=decay) for p in (whole, part))
     np.testing.assert_allclose(one.weights, other.weights, rtol=0, atol=1e-9)
 
 
 def test_twice_the_same():
     """Deterministic to the last bit."""
-    layout = Layout.dense(3, 6, 2)
+    sizes = (3, 6, 6, 2)
     one, other = (
-        levenberg_marquardt(problem(2, 50, 3, 2, None), layout, random_start(layout, 2), iterations=20) for _ in "ab"
+        levenberg_marquardt(problem(2, 50, 3, 2, None), sizes, random_start(sizes, 2), iterations=20) for _ in "ab"
     )
     np.testing.assert_array_equal(one.weights, other.weights)
     np.testing.assert_array_equal(one.curve, other.curve)
 
 
 @pytest.fixture
-def overfitting() -> tuple[Layout, Problem, np.ndarray]:
+def overfitting() -> tuple[Sizes, Problem, np.ndarray]:
     """Two tasks of pure noise on a smooth line: few rows, many weights, so that validation gets worse in the end."""
     random = np.random.default_rng(5)
-    layout = Layout.dense(1, 8, 1)
+    sizes = (1, 8, 8, 1)
     x = random.uniform(-1, 1, (2, 40, 1))
     y = 0.5 * x + 0.3 * random.normal(size=x.shape)
     held = np.zeros((2, 40))
     held[:, 15:] = 1.0
-    return layout, Problem(x, -y, None, 1 - held, held), random_start(layout, 2)
+    return sizes, Problem(x, -y, None, 1 - held, held), random_start(sizes, 2)
 
 
 def test_early_stopping_returns_the_best_weights(overfitting):
     """The validation loss, calculated here from the weights returned, against the least of the curve."""
-    layout, task, start = overfitting
-    found = levenberg_marquardt(task, layout, start, iterations=60, patience=6)
+    sizes, task, start = overfitting
+    found = levenberg_marquardt(task, sizes, start, iterations=60, patience=6)
     for k in range(2):
-        fitted = Network(layout.sizes, found.weights[k], np.zeros(1), np.ones(1), np.ones(1))
+        fitted = Network(sizes, found.weights[k], np.zeros(1), np.ones(1), np.ones(1))
         error = (fitted(task.x[k]) + task.offset[k])[:, 0]
-        first = (Network(layout.sizes, start[k], np.zeros(1), np.ones(1), np.ones(1))(task.x[k]) + task.offset[k])[:, 0]
+        first = (Network(sizes, start[k], np.zeros(1), np.ones(1), np.ones(1))(task.x[k]) + task.offset[k])[:, 0]
         curve = found.curve[:, 2 + k]
         assert np.mean(error[15:] ** 2) == pytest.approx(found.validation_loss[k], rel=1e-12)
         assert found.validation_loss[k] == pytest.approx(min(curve.min(), np.mean(first[15:] ** 2)), rel=1e-12)
@@ -208,8 +209,8 @@ def test_early_stopping_returns_the_best_weights(overfitting):
 
 def test_early_stopping_waits_for_its_patience(overfitting):
     """It ends `patience` iterations after the last task's best, and before the limit."""
-    layout, task, start = overfitting
-    found = levenberg_marquardt(task, layout, start, iterations=200, patience=3)
+    sizes, task, start = overfitting
+    found = levenberg_marquardt(task, sizes, start, iterations=200, patience=3)
     best = found.curve[:, 2:].argmin(axis=0)
     assert found.iterations == len(found.curve) < 200
     assert found.iterations <= best.max() + 1 + 3
@@ -217,22 +218,22 @@ def test_early_stopping_waits_for_its_patience(overfitting):
 
 def test_a_start_that_is_best_is_kept(overfitting):
     """A network that knows the truth of the validation rows, trained on others' nonsense: it comes back unchanged."""
-    layout, task, _ = overfitting
-    start = random_start(layout, 2)
+    sizes, task, _ = overfitting
+    start = random_start(sizes, 2)
     x = task.x
-    y = np.stack([Network(layout.sizes, w, np.zeros(1), np.ones(1), np.ones(1))(x[k]) for k, w in enumerate(start)])
+    y = np.stack([Network(sizes, w, np.zeros(1), np.ones(1), np.ones(1))(x[k]) for k, w in enumerate(start)])
     y[:, :15] += 1.0
-    found = levenberg_marquardt(Problem(x, -y, None, task.train, task.validate), layout, start, iterations=20)
+    found = levenberg_marquardt(Problem(x, -y, None, task.train, task.validate), sizes, start, iterations=20)
     np.testing.assert_array_equal(found.weights, start)
 
 
 def test_decay_pulls_to_the_start(overfitting):
     """The stronger, the nearer: and with an overwhelming one the weights stay."""
-    layout, task, start = overfitting
+    sizes, task, start = overfitting
     free = Problem(task.x, task.offset, None, task.train, np.zeros_like(task.validate))
     moved = []
     for decay in (0.01, 1.0, 100.0, 1e9):
-        found = levenberg_marquardt(free, layout, start, iterations=200, patience=200, decay=np.full(2, decay))
+        found = levenberg_marquardt(free, sizes, start, iterations=200, patience=200, decay=np.full(2, decay))
         moved.append(np.linalg.norm(found.weights - start, axis=1).max())
     assert all(later < earlier for earlier, later in pairwise(moved))
     assert moved[-1] < 1e-6
@@ -241,11 +242,11 @@ def test_decay_pulls_to_the_start(overfitting):
 @pytest.mark.parametrize("spoiled", ["x", "offset", "start"])
 def test_what_is_no_number_is_an_error(spoiled):
     """A NaN at the start ends in FloatingPointError, not in weights."""
-    layout = Layout.dense(3, 4, 2)
-    task, start = problem(2, 10, 3, 2, None), random_start(layout, 2)
+    sizes = (3, 4, 4, 2)
+    task, start = problem(2, 10, 3, 2, None), random_start(sizes, 2)
     {"x": task.x, "offset": task.offset}.get(spoiled, start).flat[-1] = np.nan
     with pytest.raises(FloatingPointError):
-        levenberg_marquardt(task, layout, start, iterations=3)
+        levenberg_marquardt(task, sizes, start, iterations=3)
 
 
 def alone(task: Problem, k: int) -> Problem:
@@ -260,13 +261,13 @@ def alone(task: Problem, k: int) -> Problem:
 @pytest.mark.parametrize("n", [12, 90], ids=["fewer rows than weights", "more"])
 def test_ten_at_once_are_ten_in_a_row(trainer, rows, n):
     """Each with other data, numbers of rows, decay and end: weights, losses and curves, to 1e-9."""
-    layout = Layout.dense(3, 5, 2)
-    task, start, decay = problem(10, n, 3, 2, rows), random_start(layout, 10), np.geomspace(1e-3, 10, 10)
+    sizes = (3, 5, 5, 2)
+    task, start, decay = problem(10, n, 3, 2, rows), random_start(sizes, 10), np.geomspace(1e-3, 10, 10)
     options = {"iterations": 40, "patience": 3}
-    together = trainer(task, layout, start, decay=decay, **options)
+    together = trainer(task, sizes, start, decay=decay, **options)
     ends = []
     for k in range(10):
-        one = trainer(alone(task, k), layout, start[k : k + 1], decay=decay[k : k + 1], **options)
+        one = trainer(alone(task, k), sizes, start[k : k + 1], decay=decay[k : k + 1], **options)
         np.testing.assert_allclose(together.weights[k], one.weights[0], rtol=0, atol=1e-9)
         np.testing.assert_allclose(together.curve[: one.iterations, [k, 10 + k]], one.curve, rtol=1e-9)
         assert (together.curve[one.iterations :, [k, 10 + k]] == together.curve[one.iterations - 1, [k, 10 + k]]).all()
@@ -278,12 +279,12 @@ def test_ten_at_once_are_ten_in_a_row(trainer, rows, n):
 
 def test_both_forms_take_the_same_step():
     """Fewer rows than weights: by J J^T and by J^T J, at several dampings, with and without a pull."""
-    layout = Layout.dense(3, 6, 3)
+    sizes = (3, 6, 6, 3)
     task = problem(2, 8, 3, 3, 4)
-    weights = torch.from_numpy(random_start(layout, 2))
+    weights = torch.from_numpy(random_start(sizes, 2))
     given = Rows.of(task.x, task.offset, task.gain, task.train + 0.1)
-    away = weights - torch.from_numpy(random_start(layout, 2, seed=1))
-    for one, other in zip(Primal.of(weights, layout.sizes, given), Dual.of(weights, layout.sizes, given), strict=True):
+    away = weights - torch.from_numpy(random_start(sizes, 2, seed=1))
+    for one, other in zip(Primal.of(weights, sizes, given), Dual.of(weights, sizes, given), strict=True):
         for damping, pull in ((1e-1, 0.0), (1e-6, 0.0), (1e-3, 2.0), (1e-9, 1e-2)):
             by_weights, by_rows = one.step(damping, pull, away[0]), other.step(damping, pull, away[0])
             assert by_weights is not None
@@ -300,15 +301,13 @@ def test_who_has_stopped_is_computed_no_further(monkeypatch):
         return linearised(weights, *others)
 
     monkeypatch.setattr("learning.training.linearised", count_members)
-    layout = Layout.dense(2, 3, 2)
-    true = random_start(layout, 2)
+    sizes = (2, 3, 3, 2)
+    true = random_start(sizes, 2)
     x = np.random.default_rng(1).uniform(-1, 1, (2, 60, 2))
-    y = np.stack(
-        [Network(layout.sizes, w, np.zeros(2), np.ones(2), np.ones(2))(at) for w, at in zip(true, x, strict=True)]
-    )
-    start = np.stack([true[0] + 1e-6, random_start(layout, 1, seed=3)[0]])
+    y = np.stack([Network(sizes, w, np.zeros(2), np.ones(2), np.ones(2))(at) for w, at in zip(true, x, strict=True)])
+    start = np.stack([true[0] + 1e-6, random_start(sizes, 1, seed=3)[0]])
     found = levenberg_marquardt(
-        Problem(x, -y, None, np.ones((2, 60)), np.zeros((2, 60))), layout, start, iterations=30, patience=30
+        Problem(x, -y, None, np.ones((2, 60)), np.zeros((2, 60))), sizes, start, iterations=30, patience=30
     )
     assert found.train_loss[0] < 1e-20
     assert counted[0] == 2
@@ -324,10 +323,10 @@ def test_a_refused_step_keeps_its_linearisation(monkeypatch):
     )
     squares = Rows.squares
     monkeypatch.setattr(Rows, "squares", lambda *given: tried.append(len(given[1])) or squares(*given))
-    layout = Layout.dense(3, 6, 2)
+    sizes = (3, 6, 6, 2)
     task = problem(1, 60, 3, 2, None)
     task = Problem(task.x, task.offset, None, np.ones((1, 60)), np.zeros((1, 60)))
-    found = levenberg_marquardt(task, layout, 4 * random_start(layout, 1), iterations=25, patience=25)
+    found = levenberg_marquardt(task, sizes, 4 * random_start(sizes, 1), iterations=25, patience=25)
     assert sum(counted) == found.iterations == 25
     assert sum(tried) > 1 + 25  # the start, and at least one refused
     assert np.all(np.diff(found.curve[:, 0]) < 0)
@@ -335,11 +334,11 @@ def test_a_refused_step_keeps_its_linearisation(monkeypatch):
 
 def test_no_number_in_training_is_a_refused_step(monkeypatch):
     """Every third trial of one member is NaN: it gets there all the same, and the other does not notice."""
-    layout = Layout.dense(2, 4, 2)
-    task, start = problem(2, 60, 2, 2, None), random_start(layout, 2)
+    sizes = (2, 4, 4, 2)
+    task, start = problem(2, 60, 2, 2, None), random_start(sizes, 2)
     task = Problem(task.x, task.offset, None, np.ones((2, 60)), np.zeros((2, 60)))
     decay, calls, squares = np.full(2, 20.0), [], Rows.squares
-    expected = levenberg_marquardt(task, layout, start, iterations=100, patience=100, decay=decay)
+    expected = levenberg_marquardt(task, sizes, start, iterations=100, patience=100, decay=decay)
 
     def spoiled(*given):
         calls.append(squares(*given))
@@ -348,7 +347,7 @@ def test_no_number_in_training_is_a_refused_step(monkeypatch):
         return calls[-1]
 
     monkeypatch.setattr(Rows, "squares", spoiled)
-    found = levenberg_marquardt(task, layout, start, iterations=100, patience=100, decay=decay)
+    found = levenberg_marquardt(task, sizes, start, iterations=100, patience=100, decay=decay)
     np.testing.assert_array_equal(found.weights[1], expected.weights[1])
     assert found.train_loss[0] == pytest.approx(expected.train_loss[0], rel=1e-8)
     assert np.isfinite(found.curve[:, :2]).all()
@@ -356,12 +355,12 @@ def test_no_number_in_training_is_a_refused_step(monkeypatch):
 
 def test_rows_of_weight_zero_may_be_no_numbers():
     """They are not there; and a member without any rows comes back as it was."""
-    layout = Layout.dense(3, 4, 2)
-    task, start = problem(2, 40, 3, 2, None), random_start(layout, 2)
+    sizes = (3, 4, 4, 2)
+    task, start = problem(2, 40, 3, 2, None), random_start(sizes, 2)
     train = task.train.copy()
     train[1] = 0.0
     task.offset[(train == 0) & (task.validate == 0)] = np.nan
-    found = levenberg_marquardt(Problem(task.x, task.offset, None, train, task.validate), layout, start, iterations=5)
+    found = levenberg_marquardt(Problem(task.x, task.offset, None, train, task.validate), sizes, start, iterations=5)
     assert np.isfinite(found.weights).all()
     assert np.isfinite(found.train_loss[0])
     np.testing.assert_array_equal(found.weights[1], start[1])
@@ -369,14 +368,14 @@ def test_rows_of_weight_zero_may_be_no_numbers():
 
 def test_adam_reaches_levenberg_marquardt():
     """The same regular minimum (a decay) from the same start."""
-    layout = Layout.dense(2, 4, 2)
+    sizes = (2, 4, 4, 2)
     random = np.random.default_rng(0)
     x = random.uniform(-1, 1, (2, 80, 2))
     y = np.stack([np.sin(2 * x[..., 0]), x[..., 0] * x[..., 1]], axis=-1) + 0.1 * random.normal(size=x.shape)
     task = Problem(x, -y, None, random.uniform(0.5, 2, (2, 80)), np.zeros((2, 80)))
-    start, decay = random_start(layout, 2), np.full(2, 20.0)
-    expected = levenberg_marquardt(task, layout, start, iterations=200, patience=200, decay=decay)
-    found = adam(task, layout, start, iterations=1000, decay=decay)
+    start, decay = random_start(sizes, 2), np.full(2, 20.0)
+    expected = levenberg_marquardt(task, sizes, start, iterations=200, patience=200, decay=decay)
+    found = adam(task, sizes, start, iterations=1000, decay=decay)
     np.testing.assert_allclose(found.train_loss, expected.train_loss, rtol=1e-6)
     np.testing.assert_allclose(found.weights, expected.weights, atol=1e-3)
 
@@ -384,21 +383,21 @@ def test_adam_reaches_levenberg_marquardt():
 def test_adam_on_a_linear_problem():
     """Inputs so small that tanh is linear and outputs nearly constant: the mean of each is what is left to learn."""
     random = np.random.default_rng(4)
-    layout = Layout.dense(2, 3, 2)
+    sizes = (2, 3, 3, 2)
     x, offset = 1e-6 * random.uniform(-1, 1, (1, 50, 2)), random.normal(size=(1, 50, 2))
     weight = random.uniform(0.5, 2, (1, 50))
-    found = adam(Problem(x, offset, None, weight, np.zeros((1, 50))), layout, random_start(layout, 1), iterations=800)
-    fitted = Network(layout.sizes, found.weights[0], np.zeros(2), np.ones(2), np.ones(2))(x[0])
+    found = adam(Problem(x, offset, None, weight, np.zeros((1, 50))), sizes, random_start(sizes, 1), iterations=800)
+    fitted = Network(sizes, found.weights[0], np.zeros(2), np.ones(2), np.ones(2))(x[0])
     expected = -np.average(offset[0], axis=0, weights=weight[0])
     np.testing.assert_allclose(fitted, np.tile(expected, (50, 1)), atol=1e-4)
 
 
 def test_adam_stops_early_and_returns_the_best(overfitting):
     """The validation loss calculated here from the weights returned is the least of the curve; twice the same."""
-    layout, task, start = overfitting
-    found, again = (adam(task, layout, start, iterations=3000, patience=100) for _ in "ab")
+    sizes, task, start = overfitting
+    found, again = (adam(task, sizes, start, iterations=3000, patience=100) for _ in "ab")
     for k in range(2):
-        fitted = Network(layout.sizes, found.weights[k], np.zeros(1), np.ones(1), np.ones(1))
+        fitted = Network(sizes, found.weights[k], np.zeros(1), np.ones(1), np.ones(1))
         held = np.mean((fitted(task.x[k]) + task.offset[k])[15:] ** 2)
         assert held == pytest.approx(found.validation_loss[k], rel=1e-12)
         assert held <= found.curve[:, 2 + k].min() * (1 + 1e-12)
@@ -407,8 +406,8 @@ def test_adam_stops_early_and_returns_the_best(overfitting):
 
 
 def test_adam_refuses_nan():
-    layout = Layout.dense(3, 4, 3)
-    task, start = problem(1, 40, 3, 3, None), random_start(layout, 1)
+    sizes = (3, 4, 4, 3)
+    task, start = problem(1, 40, 3, 3, None), random_start(sizes, 1)
     task.offset[:] = np.nan
     with pytest.raises(FloatingPointError):
-        adam(task, layout, start, iterations=3)
+        adam(task, sizes, start, iterations=3)

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from learning.correction import Correction, Hull, Spread
-from learning.network import Layout, Network, initial_weights
+from learning.network import Network, initial_weights
 from learning.units import INHERITED, OWN, SHARED, WAVES, Inherited, Units, range_of, shared_units
 
 JOINTS = 3
@@ -23,9 +23,9 @@ def joints(n: int, seed: int, beyond: float = 0.0) -> np.ndarray:
 
 
 def inherited() -> Inherited:
-    layout = Layout.dense(JOINTS, 4, 2)
-    weights = initial_weights(layout, np.random.default_rng(3))
-    network = Network(layout.sizes, weights, (LOW + HIGH) / 2, (HIGH - LOW) / 2, np.ones(2))
+    sizes = (JOINTS, 4, 4, 2)
+    weights = initial_weights(sizes, np.random.default_rng(3))
+    network = Network(sizes, weights, (LOW + HIGH) / 2, (HIGH - LOW) / 2, np.ones(2))
     return Inherited(network, np.array([[1.0, 2.0, 0.0], [0.5, 0.1, 0.3]]))
 
 
