@@ -200,13 +200,20 @@ def _product(a: Tensor, b: Tensor) -> Tensor:
 
 def _half(c: Tensor) -> Tensor:
     """(g, k (k + 1) / 2, n) of symmetric c: (g, k, k, n)."""
-    i, j = np.triu_indices(c.shape[1])
-    return c.flatten(1, 2).index_select(1, torch.from_numpy(i * c.shape[1] + j))
+    i, j = _pairs(c.shape[1])
+    return c.flatten(1, 2).index_select(1, i * c.shape[1] + j)
 
 
 def _half_product(z: Tensor) -> Tensor:
-    i, j = (torch.from_numpy(v) for v in np.triu_indices(z.shape[1]))
+    i, j = _pairs(z.shape[1])
     return z.index_select(1, i) * z.index_select(1, j)
+
+
+@lru_cache(maxsize=16)
+def _pairs(k: int) -> tuple[Tensor, Tensor]:
+    """The rows and columns of a triangle of k rows."""
+    i, j = (torch.from_numpy(v) for v in np.triu_indices(k))
+    return i, j
 
 
 def _flat(matrices: Sequence[Tensor]) -> Tensor:
