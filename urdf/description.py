@@ -470,6 +470,8 @@ def _read_toml(file: Path) -> dict[str, Any]:
         raise InputError(f"{file}: not valid TOML: {error}") from None
     except UnicodeDecodeError:
         raise InputError(f"{file}: not UTF-8 text") from None
+    except ValueError as error:  # an integer of thousands of digits
+        raise InputError(f"{file}: not valid TOML: {error}") from None
     except OSError as error:
         raise InputError(f"{file}: can't be read: {error.strerror}") from None
     except RecursionError:
@@ -492,7 +494,7 @@ def _parse_override(text: str) -> tuple[tuple[str, ...], Any]:
     keys = tuple(part.strip() for part in key.split("."))
     try:
         return keys, tomllib.loads(f"value = {value}")["value"]
-    except tomllib.TOMLDecodeError:
+    except (ValueError, RecursionError):  # a bare word, or what no field allows
         return keys, value.strip()
 
 
