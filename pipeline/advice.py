@@ -8,10 +8,12 @@ import numpy as np
 
 from identification.error_model import ErrorModel
 from identification.predicted_accuracy import mean_length
-from pipeline.methods import HybridMethod, Method, ModelMethod
+from pipeline.channels import all_turns, parts
+from pipeline.methods import METHODS, HybridMethod, Method, ModelMethod
 from pipeline.results import Advice, Corrected, Fit, MethodScore
 from pipeline.spread import pose_covariance, seen_from
 
+_SURE = ("geometric", "hybrid")  # that come with a covariance, and a learning curve
 _PAYS = 0.2  # share of the expected error that is saved
 _AS_GOOD = 1.02  # of two methods so near each other the simpler one is taken
 _STEEPEST = 1.0  # fall of the error with the number of poses, as a power: noise alone gives 1/2
@@ -29,7 +31,8 @@ def advise(
 ) -> Advice:
     """Of scored methods; expected errors are those of poses like the measured ones, at readings (n, n_actuated)."""
     best = _best(scores)
-    expected = _expected(model, fit, corrected, methods.get(best), readings, channels)
+    sure = methods.get(best) if best in _SURE else None
+    expected = _expected(model, fit, corrected, sure, readings, channels)
     if expected is None:
         score = next(s for s in scores if s.name == best)
         expected = (score.mean_deg, score.mean_mm)
@@ -56,10 +59,9 @@ def advise(
 def _best(scores: Sequence[MethodScore]) -> str:
     """The least mean error, of what was measured first; the table's order goes from simple to not."""
     key = "mean_deg" if scores[0].mean_deg is not None else "mean_mm"
-    simple = ["nominal", "geometric", "network", "transfer", "transfer_identified", "hybrid"]
     values = {s.name: float(getattr(s, key)) for s in scores}
     least = min(values.values())
-    return min((name for name, v in values.items() if v <= _AS_GOOD * least), key=simple.index)
+    return min((name for name, v in values.items() if v <= _AS_GOOD * least), key=METHODS.index)
 
 
 def _expected(
@@ -71,21 +73,21 @@ def _expected(
     channels: tuple[str, ...],
 ) -> tuple[float | None, float | None] | None:
     """Mean errors [deg], [mm] by the calibrated covariance; None where there is none."""
-    if not isinstance(method, ModelMethod | HybridMethod) or getattr(method, "name", "") == "nominal":
+    if method is None:
         return None
+    assert isinstance(method, ModelMethod | HybridMethod)
     covariance = pose_covariance(model, fit, corrected, method, readings)
     turned = covariance[:, :3, :3]
-    if "orientation" not in channels and not {"tilt", "yaw"} <= set(channels):
+    if not all_turns(channels):
         turned = seen_from(turned, method.predict(readings).rotation[:, 2])
-    angles = "orientation" in channels or "tilt" in channels
-    deg = float(np.rad2deg(np.mean(mean_length(turned)))) if angles else None
+    deg = float(np.rad2deg(np.mean(mean_length(turned)))) if "tilt" in parts(channels) else None
     return deg, float(1e3 * np.mean(mean_length(covariance[:, 3:, 3:]))) if "position" in channels else None
 
 
 def _power(curve: np.ndarray, method: str) -> float:
     """b of an error that falls as n^-b, by a line through the learning curve's logarithms; 0 where nothing is told."""
     errors = curve[:, 1 if method == "geometric" else 2] if len(curve) else np.zeros(0)
-    if len(errors) < 3 or not np.all(errors > 0) or method not in ("geometric", "hybrid"):
+    if len(errors) < 3 or not np.all(errors > 0) or method not in _SURE:
         return 0.0
     slope = np.polyfit(np.log(curve[:, 0]), np.log(errors), 1)[0]
     return float(np.clip(-slope, 0.0, _STEEPEST))

@@ -25,6 +25,7 @@ from cattrs import Converter
 from pydantic import BaseModel
 
 from pipeline.results import Frame, Text
+from pipeline.writing import replace_file, write_flushed
 from urdf.errors import InputError
 
 
@@ -183,9 +184,9 @@ class Store:
         with self._writing(temporary):
             temporary.mkdir(parents=True)
             for name, content in files.items():
-                _write(temporary / name, content)
+                write_flushed(temporary / name, content)
             text = json.dumps(sealed | {"seal": digest(sealed)}, indent=1, sort_keys=True)
-            _write(temporary / "manifest.json", text.encode())
+            write_flushed(temporary / "manifest.json", text.encode())
             _sync(temporary)
             folder.parent.mkdir(parents=True, exist_ok=True)
             if replace and folder.exists():
@@ -241,17 +242,11 @@ class Store:
     def _note(self, file: Path, content: bytes) -> None:
         """Write what saves work or eases a look; a store that takes no more is no reason to withhold a result."""
         if not (file.is_file() and file.read_bytes() == content):
-            with contextlib.suppress(InputError):
-                self._replace(file, content)
-
-    def _replace(self, file: Path, content: bytes) -> None:
-        """Write a small file at once or not at all."""
-        temporary = self.root / "tmp" / uuid.uuid4().hex
-        with self._writing(temporary):
-            temporary.parent.mkdir(parents=True, exist_ok=True)
-            file.parent.mkdir(parents=True, exist_ok=True)
-            _write(temporary, content)
-            temporary.replace(file)
+            with contextlib.suppress(OSError):
+                aside = self.root / "tmp"
+                for folder in (aside, file.parent):
+                    folder.mkdir(parents=True, exist_ok=True)
+                replace_file(file, content, aside)
 
     @contextmanager
     def lock(self, stage: str, key: str) -> Iterator[None]:
@@ -296,13 +291,6 @@ def _read_json(file: Path) -> Any:
         return json.loads(file.read_bytes())
     except (OSError, ValueError, RecursionError):
         return None
-
-
-def _write(file: Path, content: bytes) -> None:
-    with open(file, "wb") as stream:
-        stream.write(content)
-        stream.flush()
-        os.fsync(stream.fileno())
 
 
 def _sync(folder: Path) -> None:

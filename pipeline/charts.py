@@ -15,6 +15,7 @@ from scipy.spatial.transform import Rotation
 from identification.error_model import BuiltRobot
 from identification.measurements import Measurements
 from identification.registration import vertical_in_target
+from pipeline.channels import all_turns
 from urdf.kinematics import pose_at, tool_coordinates
 from urdf.rigid_motion import Motion
 
@@ -31,7 +32,7 @@ class Chart:
     @property
     def full(self) -> bool:
         """Whether all of the orientation was measured."""
-        return "orientation" in self.channels or {"tilt", "yaw"} <= set(self.channels)
+        return all_turns(self.channels)
 
     @property
     def tilt(self) -> bool:

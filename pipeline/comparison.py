@@ -14,8 +14,6 @@ from pipeline.results import MethodScore
 from urdf.errors import InputError
 from urdf.rigid_motion import Motion
 
-RAW = "nominal, raw"
-
 
 def scores(
     methods: Mapping[str, Method], at: Measurements, actual: Motion, channels: tuple[str, ...]

@@ -28,6 +28,7 @@ from pipeline.exported_toml import exported_toml
 from pipeline.exported_urdf import CalibratedUrdf, calibrated_urdf, require_urdf
 from pipeline.results import Model
 from pipeline.runner import Run, version
+from pipeline.writing import refusing, replace_file
 from urdf.actuators import Actuators
 from urdf.closed_chain import ClosedChain, load_chain
 from urdf.description import Actuator, Robot, RobotDescription, Workspace, load_robot
@@ -87,7 +88,6 @@ def export_folder(session: Run, output: Path | None = None, force: bool = False)
     require_urdf(session.until("model")[0].urdf)
     calibrated = identified_robot(session)
     with _beside(output) as temporary:
-        temporary.mkdir()
         exported = write_folder(calibrated, temporary, output)
         _check_folder_free(output, session.robot.file, force)
         if output.exists():
@@ -110,10 +110,9 @@ def export_document(session: Run, output: Path | None = None, force: bool = Fals
     closure = robot.close(calibrated.readings)
     agreement = _agreement(calibrated, closure.closed, closure.pose, robot.measured(closure.pose))
     if output is not None:
-        with _beside(output) as temporary:
-            temporary.write_text(text, encoding="utf-8")
-            _check_file_free(output, force)
-            temporary.replace(output)
+        _check_file_free(output, force)
+        with refusing(f"--output {output}"):
+            replace_file(output, text.encode())
     return Exported(output, document, len(calibrated.readings), *agreement)
 
 
@@ -279,7 +278,7 @@ def _versions() -> dict[str, str]:
 
 
 def _check_folder_free(output: Path, source: Path, force: bool) -> None:
-    with _refusing(output):
+    with refusing(f"--output {output}"):
         _check_parent(output)
         if not os.path.lexists(output):
             return
@@ -305,7 +304,7 @@ def _made_here(file: Path) -> bool:
 def _check_file_free(output: Path | None, force: bool) -> None:
     if output is None:
         return
-    with _refusing(output):
+    with refusing(f"--output {output}"):
         _check_parent(output)
         if not os.path.lexists(output):
             return
@@ -333,21 +332,11 @@ def _is_calibration(file: Path) -> bool:
 
 @contextmanager
 def _beside(output: Path) -> Iterator[Path]:
-    """A path beside `output`, from where it is renamed into place; gone at the end, whatever happens."""
+    """A folder beside `output`, from where it is renamed into place; gone at the end, whatever happens."""
     temporary = output.absolute().parent / f".kincal-export-{uuid.uuid4().hex}"
     try:
-        with _refusing(output):
+        with refusing(f"--output {output}"):
+            temporary.mkdir()
             yield temporary
     finally:
-        if temporary.is_dir():
-            shutil.rmtree(temporary, ignore_errors=True)
-        else:
-            temporary.unlink(missing_ok=True)
-
-
-@contextmanager
-def _refusing(output: Path) -> Iterator[None]:
-    try:
-        yield
-    except OSError as error:
-        raise InputError(f"--output {output}: can't be written: {error.strerror or error}") from None
+        shutil.rmtree(temporary, ignore_errors=True)

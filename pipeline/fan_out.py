@@ -17,7 +17,7 @@ from pipeline.artifacts import Entry, Store, digest
 from pipeline.executor import undisturbed
 from pipeline.fingerprint import Code
 from pipeline.results import Comparison
-from pipeline.runner import Run, all_stages, needed
+from pipeline.runner import Event, Run, all_stages, needed
 from urdf.description import RobotDescription, load_robot
 from urdf.errors import CalibrationError, InputError
 
@@ -70,14 +70,10 @@ class Task:
 
 
 class _JobStore(Store):
-    """A store that knows what the job used, instead of noting it down as what the robot used last."""
-
-    def __init__(self, root: Path) -> None:
-        super().__init__(root)
-        self.keys: dict[str, str] = {}
+    """A store that does not note down what a job used as what the robot used last."""
 
     def remember(self, robot: str, stage: str, key: str) -> None:
-        self.keys[stage] = key
+        pass
 
     def save(self, *args: Any, **options: Any) -> Entry:
         with undisturbed():
@@ -90,18 +86,21 @@ def _code(store: Path) -> Code:
     return Code(memo=Store(store).read_memo())
 
 
+def run_of(job: Job, observe: Callable[[Event], None] = lambda event: None) -> Run:
+    """A job's way, to be gone in this process. Raises InputError."""
+    robot = load_robot(job.robot, job.overrides)
+    return Run(robot, _JobStore(job.store), None, observe, job.command, _code=_code(job.store))
+
+
 def carry_out(job: Job) -> Outcome:
     """Go a job's way. Raises InputError and CalibrationError."""
-    store, events = _JobStore(job.store), []
-    robot = load_robot(job.robot, job.overrides)
-    run = Run(robot, store, None, events.append, job.command, _code=_code(job.store))
+    events: list[Event] = []
+    run = run_of(job, events.append)
     (value,) = run.until(job.until)
     passed = []
     for event in (e for e in events if e.state in ("ran", "cached")):
-        key = store.keys[event.stage]
-        entry = store.find(event.stage, key)
-        assert entry is not None
-        passed.append(Passed(event.stage, event.state, event.seconds, key, entry.digest))
+        entry = run.entries[event.stage]
+        passed.append(Passed(event.stage, event.state, event.seconds, entry.manifest["key"], entry.digest))
     damaged = tuple(e.why for e in events if e.state == "damaged")
     return Outcome(tuple(passed), damaged, asdict(value) if isinstance(value, Comparison) else None)
 

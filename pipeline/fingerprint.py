@@ -18,7 +18,8 @@ ROOT = Path(__file__).parent.parent
 PACKAGES = ("urdf", "identification", "learning", "pipeline")
 _WHOLE = ""  # the unit that is a whole module
 
-Facts = dict[str, tuple[str, list[str]]]  # {function or _WHOLE: (digest, the project's modules that it imports)}
+# {function: (digest, the project's modules that it imports)}, or {_WHOLE: the same}: functions are seldom asked for
+Facts = dict[str, tuple[str, list[str]]]
 
 
 @dataclass
@@ -28,39 +29,42 @@ class Code:
     root: Path = ROOT
     memo: dict[str, Facts] = field(default_factory=dict)
     used: dict[str, Facts] = field(default_factory=dict)
-    _facts: dict[str, Facts] = field(default_factory=dict)
+    _facts: dict[tuple[str, bool], Facts] = field(default_factory=dict)
 
     def fingerprint(self, module: str, function: str) -> dict[str, str]:
         """{unit of code: digest} of a stage function, by name, in a project module."""
-        digest, imports = self._of(module)[function]
+        digest, imports = self._of(module, whole=False)[function]
         found = {f"{module}:{function}": digest}
         queue = list(imports)
         while queue:
             name = queue.pop()
             if name not in found:
-                found[name], imports = self._of(name)[_WHOLE]
+                found[name], imports = self._of(name, whole=True)[_WHOLE]
                 queue += imports
         return dict(sorted(found.items()))
 
-    def _of(self, module: str) -> Facts:
-        if module not in self._facts:
+    def _of(self, module: str, whole: bool) -> Facts:
+        if (module, whole) not in self._facts:
             file = _file(module, self.root)
             source = file.read_bytes() if file else b""
             # Page templates that a module loads by its own name are part of it.
             templates = sorted((file.parent / "templates").glob(f"{file.stem}.*")) if file else []
             extra = b"\0".join(t.read_bytes() for t in templates)
-            version = f"{module} {sys.version_info[:2]} ".encode()
+            version = f"{module} {whole} {sys.version_info[:2]} ".encode()
             key = hashlib.sha256(version + source + b"\0" + extra).hexdigest()
             if key not in self.memo:
-                self.memo[key] = _analyse(source, extra, self.root)
-            self._facts[module] = self.used[key] = self.memo[key]
-        return self._facts[module]
+                self.memo[key] = _whole(source, extra, self.root) if whole else _by_name(source, self.root)
+            self._facts[module, whole] = self.used[key] = self.memo[key]
+        return self._facts[module, whole]
 
 
-def _analyse(source: bytes, extra: bytes, root: Path) -> Facts:
-    parsed = ast.parse(source)
-    _strip_docstrings(parsed)
-    facts: Facts = {_WHOLE: (_sha(ast.dump(parsed).encode() + extra), _modules(parsed, root))}
+def _whole(source: bytes, extra: bytes, root: Path) -> Facts:
+    parsed = _parsed(source)
+    return {_WHOLE: (_sha(ast.dump(parsed).encode() + extra), _modules(parsed, root))}
+
+
+def _by_name(source: bytes, root: Path) -> Facts:
+    parsed, facts = _parsed(source), {}
     definitions = (ast.FunctionDef, ast.AsyncFunctionDef, ast.ClassDef)
     named = {n.name: n for n in parsed.body if isinstance(n, definitions)}
     # Any other statement counts for each name that it touches.
@@ -136,7 +140,9 @@ def _sha(content: bytes) -> str:
     return hashlib.sha256(content).hexdigest()
 
 
-def _strip_docstrings(parsed: ast.Module) -> None:
+def _parsed(source: bytes) -> ast.Module:
+    """Without docstrings."""
+    parsed = ast.parse(source)
     for node in ast.walk(parsed):
         if isinstance(node, (ast.Module, ast.ClassDef, ast.FunctionDef, ast.AsyncFunctionDef)) and node.body:
             first = node.body[0]
@@ -146,6 +152,7 @@ def _strip_docstrings(parsed: ast.Module) -> None:
                 and isinstance(first.value.value, str)
             ):
                 node.body = node.body[1:]
+    return parsed
 
 
 def _modules(node: ast.AST, root: Path) -> list[str]:

@@ -13,6 +13,7 @@ import numpy as np
 
 from identification.accuracy import gravity_error
 from identification.error_model import BuiltRobot
+from pipeline.channels import all_turns, parts
 from urdf.kinematics import Closure, inverse, tool_coordinates, tool_pose, tool_rates, tree
 from urdf.rigid_motion import Motion, exp, skew, wrap, xyz_rates, zyx_angles
 
@@ -94,7 +95,7 @@ class Goal:
         if "position" in self.asked:
             at_target = np.zeros_like(at_target)
         up = w.rotation.T @ np.array([0.0, 0.0, 1.0])
-        if {"tilt", "yaw"} <= self.asked:
+        if all_turns(self.asked):
             turning = np.zeros_like(turning)
         elif "tilt" in self.asked:  # a turn about the vertical alone
             turning = np.outer(up, up) @ turning
@@ -141,7 +142,7 @@ class Goal:
     def filled(self, predicted: Motion) -> Motion:
         """Predicted poses (n) with what is asked for put in; for tilt alone by the smallest turn."""
         wanted, rotation = self.desired, predicted.rotation
-        if {"tilt", "yaw"} <= self.asked:
+        if all_turns(self.asked):
             rotation = wanted.rotation
         elif "tilt" in self.asked:
             rotation = rotation @ exp(-gravity_error(wanted.rotation, rotation))
@@ -149,8 +150,3 @@ class Goal:
             turn = zyx_angles(wanted.rotation)[:, 0] - zyx_angles(rotation)[:, 0]
             rotation = exp(turn[:, None] * np.array([0.0, 0.0, 1.0])) @ rotation
         return Motion(rotation, wanted.translation if "position" in self.asked else predicted.translation)
-
-
-def parts(channels: Iterable[str]) -> frozenset[str]:
-    """Channels as parts of a pose: an orientation is tilt and yaw."""
-    return frozenset(part for c in channels for part in (("tilt", "yaw") if c == "orientation" else (c,)))

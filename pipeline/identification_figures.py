@@ -10,10 +10,10 @@ from matplotlib import rc_context
 from matplotlib.figure import Figure
 
 from identification.identification import Identification
+from pipeline.figures import BLUE, GREY, RED, STYLE, clean
+from pipeline.writing import refusing
 from urdf.errors import InputError
 
-STYLE: Any = {"svg.hashsalt": "kincal", "svg.fonttype": "none", "font.size": 9, "font.family": "sans-serif"}
-BLUE, RED, GREY = "#1f5fa8", "#b3261e", "#767676"
 _FORMATS = (".svg", ".png", ".pdf")
 _FLAGGED = 4  # tolerances
 
@@ -30,10 +30,8 @@ def draw(found: Identification, file: Path, before: bool) -> None:
         shares(found, panels[1], names=before)
         if not before:
             changes(found, panels[2])
-        try:
+        with refusing(f"--plot {file}"):
             figure.savefig(file, dpi=130)
-        except OSError as error:
-            raise InputError(f"--plot {file}: can't be written: {error.strerror or error}") from None
 
 
 def singular_values(found: Identification, axes: Any) -> None:
@@ -44,7 +42,7 @@ def singular_values(found: Identification, axes: Any) -> None:
     axes.axhline(found.rank_tolerance, color=RED, lw=1, label="tolerance")
     axes.set_xlabel("singular value of the identification Jacobian")
     axes.legend(frameon=False)
-    _clean(axes)
+    clean(axes, "y")
 
 
 def shares(found: Identification, axes: Any, names: bool) -> None:
@@ -77,9 +75,4 @@ def _named(axes: Any, names: tuple[str, ...]) -> None:
     axes.set_xticks(np.arange(len(names)), names, rotation=90, fontsize=5)
     if not names:
         axes.tick_params(bottom=False)
-    _clean(axes)
-
-
-def _clean(axes: Any) -> None:
-    axes.spines[["top", "right"]].set_visible(False)
-    axes.grid(alpha=0.25, axis="y")
+    clean(axes, "y")

@@ -21,6 +21,7 @@ from identification.predicted_accuracy import PredictedAccuracy, Probe
 from identification.registration import MIN_POSES
 from pipeline.runner import Run
 from pipeline.tables import Table, fixed
+from pipeline.writing import refusing, replace_file
 from urdf.closed_chain import ClosedChain
 from urdf.description import Channel, Layout, Plan, RobotDescription, Sensor, Workspace
 from urdf.errors import InputError
@@ -207,13 +208,9 @@ def check_output(file: Path, force: bool) -> None:
 
 def write_table(table: pd.DataFrame, file: Path) -> None:
     """A .csv or .parquet file. Raises InputError."""
-    try:
-        if file.suffix.lower() == ".csv":
-            table.to_csv(file, index=False)
-        else:
-            table.to_parquet(file, index=False)
-    except OSError as error:
-        raise InputError(f"--output {file}: can't be written: {error.strerror or error}") from None
+    content = table.to_csv(index=False).encode() if file.suffix.lower() == ".csv" else table.to_parquet(index=False)
+    with refusing(f"--output {file}"):
+        replace_file(file, content)
 
 
 def layout_table(scores: tuple[LayoutScore, ...]) -> Table:

@@ -3,20 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
-from pydantic_core import to_jsonable_python
 
-from pipeline.artifacts import Damaged, Store, digest
-from pipeline.fan_out import Job, carry_out
-from pipeline.fingerprint import Code
-from pipeline.results import Hybrids, Identified, Measured, Model, PosePlan, Transferred
-from pipeline.runner import Run
-from urdf.description import RobotDescription, load_robot
-
-_NAME = "pose_errors"
-_SETTINGS = ("sensor", "tolerance", "actuator", "split", "evaluate", "seed")
+from pipeline.fan_out import Job, run_of
+from pipeline.results import RAW, Filtered, Hybrids, Identified, Measured, Model, PosePlan, Transferred
+from pipeline.runner import stage_of
+from urdf.description import Actuator, Evaluate, Sensor, Split, Tolerance
 
 
 @dataclass(frozen=True)
@@ -33,61 +26,39 @@ class PoseErrors:
 
 def errors_of(job: Job) -> PoseErrors:
     """Of a job whose stages are in the store; made there where they are not."""
-    digests = {passed.stage: passed.digest for passed in carry_out(job).passed}
-    robot, store = load_robot(job.robot, job.overrides), Store(job.store)
-    code = Code(memo=store.read_memo())
-    parts = {
-        "code": code.fingerprint(__name__, _NAME),
-        "inputs": digests,
-        "settings": {name: to_jsonable_python(getattr(robot.description, name), by_alias=True) for name in _SETTINGS},
-    }
-    key = digest(parts)
-    found = _cached(store, key)
-    if found is not None:
-        return found
-    names = ("model", "plan", "measure", "filter", "identify", "transfer", "correct")
-    with store.lock(_NAME, key):
-        value = pose_errors(*Run(robot, store, command=job.command, _code=code).until(*names), robot=robot.description)
-        store.save(_NAME, key, value, {"parts": parts})
-    store.write_memo(code.used)
-    return value
-
-
-def _cached(store: Store, key: str) -> PoseErrors | None:
-    try:
-        entry = store.find(_NAME, key)
-        return None if entry is None else store.load(entry, PoseErrors)
-    except Damaged as damage:
-        store.set_aside(damage.folder)
-        return None
+    return run_of(job).beyond(stage_of(pose_errors, ("numpy", "scipy")))
 
 
 def pose_errors(
     model: Model,
     plan: PosePlan,
     measured: Measured,
-    filtered: Any,
+    filtered: Filtered,
     identified: Identified,
     transferred: Transferred,
     hybrids: Hybrids,
-    robot: RobotDescription,
+    sensor: Sensor,
+    tolerance: Tolerance,
+    actuator: dict[str, Actuator],
+    split: Split,
+    evaluate: Evaluate,
+    seed: int,
 ) -> PoseErrors:
+    """A stage beside those that every robot goes through."""
     from identification.accuracy import orientation_error
-    from identification.error_model import ErrorModel
-    from pipeline.comparison import RAW
     from pipeline.methods import build, uncalibrated
-    from pipeline.stages import _fresh, _used
+    from pipeline.stages import error_model, fresh_poses, used_poses
 
-    chain = model.chain()
-    errors = ErrorModel.of(chain, robot.actuator, robot.tolerance)
-    poses = _used(filtered, chain, robot.sensor, robot.split, robot.seed)
+    errors = error_model(model, tolerance, actuator)
+    poses = used_poses(filtered, errors, sensor, split, seed)
     shipped, held_out = (
         {RAW: uncalibrated(errors)} | dict(build(errors, fit, transferred.fits[k], hybrids.fits[k], poses.channels))
         for k, fit in enumerate(identified.fits()[:2])
     )
     tested = identified.held_out.test
     trained = np.setdiff1d(np.arange(len(poses)), tested)
-    at, actual = _fresh(model, errors, measured.truth, robot.evaluate.fresh_poses, robot.seed)
+    assert measured.truth is not None  # `reproduce` takes virtual robots alone
+    at, actual = fresh_poses(model, errors, measured.truth, evaluate.fresh_poses, seed)
 
     def of(methods, readings: np.ndarray, truth: np.ndarray) -> np.ndarray:
         found = [orientation_error(truth, method.predict(readings).rotation) for method in methods.values()]

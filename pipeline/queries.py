@@ -11,12 +11,13 @@ import pandas as pd
 
 from identification.error_model import ErrorModel
 from identification.measurements import check_readings, quaternions, read_table, to_measurements
-from pipeline.comparison import RAW, scores
+from pipeline.channels import parts
+from pipeline.comparison import scores
 from pipeline.compensation import commands
-from pipeline.goal import Goal, parts
+from pipeline.goal import Goal
 from pipeline.methods import METHODS, HybridMethod, Method, ModelMethod, build, uncalibrated
 from pipeline.refit import refitted
-from pipeline.results import Comparison, Corrected, Identified, Learned
+from pipeline.results import RAW, Comparison, Corrected, Identified, Learned
 from pipeline.runner import Run
 from pipeline.spread import pose_covariance, radius, seen_from, sigma
 from urdf.description import RobotDescription, nearest, read_columns

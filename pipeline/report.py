@@ -2,20 +2,18 @@
 
 from __future__ import annotations
 
-import io
 from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup
 from matplotlib import rc_context
-from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
 
 from identification.identification import Identification
-from pipeline.fingerprint import ROOT
-from pipeline.identification_figures import BLUE, GREY, RED, STYLE, changes, singular_values
+from pipeline.figures import BLUE, GREY, RED, STYLE, clean, inline, svg
+from pipeline.identification_figures import changes, singular_values
+from pipeline.pages import environment
 from pipeline.results import (
     Comparison,
     Filtered,
@@ -41,9 +39,6 @@ def page(
     compared: Comparison,
 ) -> str:
     """The whole report of one robot."""
-    environment = Environment(
-        loader=FileSystemLoader(ROOT / "pipeline" / "templates"), autoescape=True, undefined=StrictUndefined
-    )
     with rc_context(STYLE):
         figures: dict[str, Any] = {
             "methods": _methods(compared),
@@ -52,35 +47,35 @@ def page(
             "residuals": _residuals(identified),
             "training": _training(pretrained, transferred.fits[0], siblings),
         }
-    return environment.get_template("report.html").render(
-        model=model,
-        filtered=filtered,
-        pretrained=pretrained,
-        corrected=hybrids.fits[0],
-        waves=wave_table(hybrids.fits[0].correction, model),
-        shipped=identified.shipped,
-        compared=compared,
-        comparison=comparison_tables(compared.methods, compared.raw_nominal),
-        held_out=comparison_tables(compared.held_out),
-        closed_loop=comparison_tables(compared.closed_loop),
-        parameters=parameter_table(identified.shipped),
-        collinear=collinear_lines(identified.shipped),
-        **figures,
+    return (
+        environment()
+        .get_template("report.html")
+        .render(
+            model=model,
+            filtered=filtered,
+            pretrained=pretrained,
+            corrected=hybrids.fits[0],
+            waves=wave_table(hybrids.fits[0].correction, model),
+            shipped=identified.shipped,
+            compared=compared,
+            comparison=comparison_tables(compared.methods, compared.raw_nominal),
+            held_out=comparison_tables(compared.held_out),
+            closed_loop=comparison_tables(compared.closed_loop),
+            parameters=parameter_table(identified.shipped),
+            collinear=collinear_lines(identified.shipped),
+            **figures,
+        )
     )
 
 
 def _svg(figure: Figure) -> Markup:
-    buffer = io.StringIO()
-    FigureCanvasSVG(figure).print_svg(buffer, metadata={"Date": None, "Creator": None})
-    text = buffer.getvalue()
-    return Markup(text[text.index("<svg") :])
+    return Markup(inline(svg(figure)))
 
 
 def _axes(width: float, height: float) -> tuple[Figure, Any]:
     figure = Figure(figsize=(width, height), layout="constrained")
     axes = figure.add_subplot()
-    axes.spines[["top", "right"]].set_visible(False)
-    axes.grid(alpha=0.25)
+    clean(axes)
     return figure, axes
 
 
@@ -124,8 +119,7 @@ def _training(pretrained: Pretrained, learned: Learned, siblings: SiblingResidua
             axes.semilogy(held[:, k], color=colour, lw=1, ls="--")
         axes.set_title(title, fontsize=9)
         axes.set_xlabel("iteration")
-        axes.spines[["top", "right"]].set_visible(False)
-        axes.grid(alpha=0.25)
+        clean(axes)
         axes.legend(frameon=False, fontsize=8)
     left.set_ylabel("mean square, scaled")
     return _svg(figure)

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from pipeline.channels import all_turns
 from pipeline.executor import executor
 from pipeline.fan_out import Failure, Job, Outcome, Task, run_all
 from pipeline.pose_errors import PoseErrors, errors_of
@@ -20,7 +21,6 @@ if TYPE_CHECKING:
 
 ROBOT = "ups3_s"
 MOST_SEEDS = 200
-RAW = "nominal, raw"
 _OWN = ("seed", "plan", "split", "pretrain.hidden", "prior.poses", "evaluate.closed_loop")  # what the study chooses
 Row = Mapping[str, Any]
 _INDICES = ("mean", "max", "sd", "x", "y", "z")
@@ -133,8 +133,7 @@ def plan(
             raise InputError(f"--set {override}: reproduce chooses {key} itself; `kincal sweep` does not")
     loaded = load_robot(ROBOT, overrides)
     robot, file = loaded.description, str(loaded.file)
-    channels = set(robot.measure.channels or ("orientation",))
-    if not robot.measure.virtual or not ("orientation" in channels or {"tilt", "yaw"} <= channels):
+    if not robot.measure.virtual or not all_turns(robot.measure.channels or ["orientation"]):
         raise InputError(
             "reproduce scores the orientations of a virtual robot: measure.source must be virtual, and "
             'measure.channels must hold "orientation", or "tilt" and "yaw"'

@@ -2,26 +2,20 @@
 
 from __future__ import annotations
 
-import io
 from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 from matplotlib import rc_context
-from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
 
 from pipeline.claims import Claims
-from pipeline.identification_figures import STYLE
+from pipeline.figures import COLOURS, STYLE, clean, quartile_line, svg
 from pipeline.methods import METHODS
 from pipeline.paper import AXES, BP, RANGES, TESTING, TRANSFER
 from pipeline.reproduce import Reproduced, Row
 from pipeline.reproduction import SCORED_ON, values
 
-COLOURS: dict[str, str] = dict(
-    zip(METHODS, ("#767676", "#1f5fa8", "#c98a00", "#7a3e9d", "#2a9d8f", "#b3261e"), strict=True)
-)
-SCORED = {"fresh": "500 fresh poses, noise-free", "held_out": "20 % held out, as measured"}
 _ABOUT = {"x": "about x", "y": "about y", "z": "about z", "volumetric": "volumetric"}
 _WIDTH = 10.5
 
@@ -32,25 +26,14 @@ def figures(
     """{name: SVG}."""
     with rc_context(STYLE):
         return {
-            "figure5": _svg(_configurations_5(found)),
-            "figure6": _svg(_by_pose(found, training=True)),
-            "figure7": _svg(_by_pose(found, training=False)),
-            "figure8": _svg(_configurations_8(found)),
-            "figure10": _svg(_against_n(figure_10)),
-            "advantage": _svg(_advantage(claims)),
-            "pretraining": _svg(_pretraining(pretraining, found.study.prior)),
+            "figure5": svg(_configurations_5(found)),
+            "figure6": svg(_by_pose(found, training=True)),
+            "figure7": svg(_by_pose(found, training=False)),
+            "figure8": svg(_configurations_8(found)),
+            "figure10": svg(_against_n(figure_10)),
+            "advantage": svg(_advantage(claims)),
+            "pretraining": svg(_pretraining(pretraining, found.study.prior)),
         }
-
-
-def _svg(figure: Figure) -> str:
-    buffer = io.StringIO()
-    FigureCanvasSVG(figure).print_svg(buffer, metadata={"Date": None, "Creator": None})
-    return buffer.getvalue()
-
-
-def _clean(axes: Any) -> None:
-    axes.spines[["top", "right"]].set_visible(False)
-    axes.grid(alpha=0.25)
 
 
 def _configurations_5(found: Reproduced) -> Figure:
@@ -102,7 +85,7 @@ def _by_pose(found: Reproduced, training: bool) -> Figure:
         axes.set_ylim(bottom=1e-5 if k < 3 else 1e-4)
         axes.set_title(f"({'abcd'[k]}) {_ABOUT[AXES[k]]}", fontsize=9, loc="left")
         axes.set_ylabel("error [deg]")
-        _clean(axes)
+        clean(axes)
         if k > 1:
             axes.set_xlabel(f"{'training' if training else 'testing'} configuration")
     handles = figure.axes[0].get_legend_handles_labels()
@@ -121,8 +104,8 @@ def _against_n(rows: Sequence[Row]) -> Figure:
             _paper(axes, axis)
             axes.set_yscale("log")
             axes.set_title(f"({'abcd'[k]}) {_ABOUT[axis]}", fontsize=9, loc="left")
-            _clean(axes)
-        line[0].set_ylabel(f"mean error [deg]\n{SCORED[scored_on]}")
+            clean(axes)
+        line[0].set_ylabel(f"mean error [deg]\n{SCORED_ON[scored_on]}")
     for axes in panels[-1]:
         axes.set_xlabel("n, measured poses")
     handles = panels[0][3].get_legend_handles_labels()
@@ -146,12 +129,10 @@ def _paper(axes: Any, axis: str) -> None:
 
 def _lines(axes: Any, rows: Sequence[Row], x: str) -> None:
     """Median and quartiles over seeds, one line a method."""
-    for name, colour in COLOURS.items():
+    for name in METHODS:
         own = [row for row in rows if row["method"] == name]
         if own:
-            at, middle, low, high = (values(own, key) for key in (x, "median_deg", "low_deg", "high_deg"))
-            axes.plot(at, middle, "o-", ms=2.5, lw=1.2, color=colour, label=name)
-            axes.fill_between(at, low, high, color=colour, alpha=0.18, lw=0)
+            quartile_line(axes, name, *(values(own, key) for key in (x, "median_deg", "low_deg", "high_deg")))
 
 
 def _advantage(claims: list[Claims]) -> Figure:
@@ -169,10 +150,10 @@ def _advantage(claims: list[Claims]) -> Figure:
             axes.scatter(n, ratio, s=16, color=np.where(p < 0.05, colour, "#ffffff"), edgecolor=colour, zorder=3)
         axes.axhline(1, color="#333", lw=0.8)
         axes.set_yscale("log")
-        axes.set_title(SCORED[scored_on], fontsize=9, loc="left")
+        axes.set_title(SCORED_ON[scored_on], fontsize=9, loc="left")
         axes.set_xlabel("n, measured poses")
         axes.legend(frameon=False)
-        _clean(axes)
+        clean(axes)
     figure.axes[0].set_ylabel("error of network / error of transfer")
     return figure
 
@@ -184,9 +165,9 @@ def _pretraining(rows: Sequence[Row], usual: int) -> Figure:
         axes.axvline(usual, color="#999", lw=0.8, ls=":")
         axes.set_xscale("log")
         axes.set_yscale("log")
-        axes.set_title(SCORED[scored_on], fontsize=9, loc="left")
+        axes.set_title(SCORED_ON[scored_on], fontsize=9, loc="left")
         axes.set_xlabel(f"poses of the source task (the paper's: {usual})")
         axes.legend(frameon=False)
-        _clean(axes)
+        clean(axes)
     figure.axes[0].set_ylabel("mean error [deg]")
     return figure

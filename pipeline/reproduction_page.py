@@ -14,9 +14,11 @@ from pipeline import paper
 from pipeline.claims import Claims, claims, claims_rows, pretraining
 from pipeline.methods import METHODS
 from pipeline.paper import AXES, INDICES, RANGES
-from pipeline.reproduce import RAW, Reproduced, Row
+from pipeline.reproduce import Reproduced, Row
 from pipeline.reproduction import after_compensation, choices, figure_10, ranges, testing
+from pipeline.results import RAW
 from pipeline.tables import Table
+from pipeline.writing import refusing, replace_file
 
 LABELS = {"nominal": "before calibration", "network": "BP network", "transfer": "transfer network"}  # in the paper
 SCORED = {
@@ -130,18 +132,16 @@ def _volumetric(row: dict[str, Any], scored_on: str) -> bool:
 
 
 def page(made: Findings) -> str:
-    from jinja2 import Environment, FileSystemLoader, StrictUndefined
     from markupsafe import Markup
 
-    from pipeline.fingerprint import ROOT
+    from pipeline.figures import inline
+    from pipeline.pages import environment
 
-    environment = Environment(
-        loader=FileSystemLoader(ROOT / "pipeline" / "templates"), autoescape=True, undefined=StrictUndefined
-    )
-    environment.filters["degrees"] = degrees
-    return environment.get_template("reproduction.html").render(
+    templates = environment()
+    templates.filters["degrees"] = degrees
+    return templates.get_template("reproduction.html").render(
         document=made.document,
-        figures={name: Markup(_inline(name, svg)) for name, svg in made.figures.items()},
+        figures={name: Markup(_apart(name, inline(svg))) for name, svg in made.figures.items()},
         methods=(RAW, *METHODS),
         labels=LABELS,
         scored=SCORED,
@@ -152,10 +152,9 @@ def page(made: Findings) -> str:
     )
 
 
-def _inline(name: str, svg: str) -> str:
+def _apart(name: str, svg: str) -> str:
     """Names within one figure stay apart from those of the others on the page."""
-    text = svg[svg.index("<svg") :]
-    return re.sub(r'(\bid="|url\(#|href="#)', rf"\g<1>{name}-", text)
+    return re.sub(r'(\bid="|url\(#|href="#)', rf"\g<1>{name}-", svg)
 
 
 def files(found: Reproduced, made: Findings) -> dict[str, bytes]:
@@ -181,11 +180,7 @@ def _csv(rows: list[Row]) -> bytes:
 
 def write(found: Reproduced, made: Findings, folder: Path) -> Path:
     """All files, the page last, each replaced at once. Returns the page. Raises InputError."""
-    from pipeline.sweep import _refused, _replace
-
-    try:
+    with refusing(f"--output {folder}"):
         for name, content in files(found, made).items():
-            _replace(folder / name, content)
-    except OSError as error:
-        raise _refused(folder, folder, error) from None
+            replace_file(folder / name, content)
     return folder / "index.html"

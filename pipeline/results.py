@@ -175,6 +175,9 @@ class Hybrids:
     fits: tuple[Corrected, ...]  # in the order of Identified.fits
 
 
+RAW = "nominal, raw"  # the row of the nominal robot with W = T = 1
+
+
 @dataclass(frozen=True)
 class MethodScore:
     name: str

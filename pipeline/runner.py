@@ -5,7 +5,7 @@ from __future__ import annotations
 import inspect
 import sys
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import lru_cache
 from importlib import metadata
@@ -14,7 +14,7 @@ from typing import Any
 
 from pydantic_core import to_jsonable_python
 
-from pipeline import results, stages
+from pipeline import stages
 from pipeline.artifacts import Damaged, Entry, Store, digest
 from pipeline.fingerprint import Code
 from urdf.description import PATHS, Robot
@@ -35,19 +35,21 @@ class Stage:
 
     @property
     def result(self) -> type:
-        return getattr(results, self.function.__annotations__["return"])
+        return self.function.__globals__[self.function.__annotations__["return"]]
+
+
+def stage_of(function: Callable[..., Any], libraries: tuple[str, ...]) -> Stage:
+    """A function of the stages' results and of settings."""
+    producer = {f.__annotations__["return"]: f.__name__ for f in stages.STAGES}
+    kinds = {name: p.annotation for name, p in inspect.signature(function).parameters.items()}
+    inputs = {name: producer[kind] for name, kind in kinds.items() if kind in producer}
+    settings = tuple(name for name in kinds if name not in inputs)
+    return Stage(function.__name__, function, inputs, settings, libraries)
 
 
 @lru_cache(maxsize=1)
 def all_stages() -> dict[str, Stage]:
-    producer = {f.__annotations__["return"]: f.__name__ for f in stages.STAGES}
-    found = {}
-    for function, libraries in stages.STAGES.items():
-        kinds = {name: p.annotation for name, p in inspect.signature(function).parameters.items()}
-        inputs = {name: producer[kind] for name, kind in kinds.items() if kind in producer}
-        settings = tuple(name for name in kinds if name not in inputs)
-        found[function.__name__] = Stage(function.__name__, function, inputs, settings, libraries)
-    return found
+    return {function.__name__: stage_of(function, libraries) for function, libraries in stages.STAGES.items()}
 
 
 @lru_cache
@@ -86,7 +88,7 @@ class Run:
     force_from: str | None = None
     observe: Callable[[Event], None] = lambda event: None
     command: str = ""
-    _entries: dict[str, Entry] = field(default_factory=dict)
+    entries: dict[str, Entry] = field(default_factory=dict)  # {stage: its artifact}, of those that are up to date
     _code: Code | None = None
 
     @property
@@ -96,19 +98,29 @@ class Run:
 
     def until(self, *names: str) -> list[Any]:
         """Bring the stages `names` up to date and return their results, read back from the store."""
-        forced = False
-        wanted = {stage.name for name in names for stage in needed(name)}
-        for stage in (s for s in all_stages().values() if s.name in wanted):
-            forced = forced or stage.name == self.force_from
-            self._bring(stage, forced)
+        self._bring_all(names)
         self.store.write_memo(self.code.used)
         return [self._value(all_stages()[name]) for name in names]
+
+    def beyond(self, stage: Stage) -> Any:
+        """The result of a stage that is none of the pipeline's own, brought up to date like these."""
+        self._bring_all(stage.inputs.values())
+        self._bring(stage, forced=False)
+        self.store.write_memo(self.code.used)
+        return self._value(stage)
 
     @property
     def code(self) -> Code:
         if self._code is None:
             self._code = Code(memo=self.store.read_memo())
         return self._code
+
+    def _bring_all(self, names: Iterable[str]) -> None:
+        forced = False
+        wanted = {stage.name for name in names for stage in needed(name)}
+        for stage in (s for s in all_stages().values() if s.name in wanted):
+            forced = forced or stage.name == self.force_from
+            self._bring(stage, forced)
 
     def _bring(self, stage: Stage, forced: bool) -> None:
         parts = self.key_parts(stage)
@@ -118,7 +130,7 @@ class Run:
             why = "--force-from" if forced else explain(self.store.last(self.robot_id, stage.name), parts)
             self._produce(stage, parts, key, why, forced)
         else:
-            self._entries[stage.name] = entry
+            self.entries[stage.name] = entry
             self.store.remember(self.robot_id, stage.name, key)
             self.observe(Event(stage.name, "cached"))
 
@@ -156,19 +168,19 @@ class Run:
                 found = self.store.save(
                     stage.name, key, value, {"parts": parts, "provenance": provenance}, replace=forced
                 )
-        self._entries[stage.name] = found
+        self.entries[stage.name] = found
         self.store.remember(self.robot_id, stage.name, key)
         self.observe(Event(stage.name, "ran", why, time.perf_counter() - began))
 
     def _value(self, stage: Stage) -> Any:
         """A stage's result from the store; a damaged one is set aside and made again."""
         try:
-            return self.store.load(self._entries[stage.name], stage.result)
+            return self.store.load(self.entries[stage.name], stage.result)
         except Damaged as damage:
             self._set_aside(stage, damage)
             parts = self.key_parts(stage)
             self._produce(stage, parts, digest(parts), "its artifact was damaged")
-            return self.store.load(self._entries[stage.name], stage.result)
+            return self.store.load(self.entries[stage.name], stage.result)
 
     def key_parts(self, stage: Stage) -> dict[str, Any]:
         """All that a stage's result depends on; its digest is the key. Where a file lies is no part of it."""
@@ -181,10 +193,10 @@ class Run:
                 table[key] = "(file)"
         return {
             "stage": stage.name,
-            "code": self.code.fingerprint(stages.__name__, stage.name),
+            "code": self.code.fingerprint(stage.function.__module__, stage.name),
             "settings": settings,
             "files": files,
-            "inputs": {source: self._entries[source].digest for source in stage.inputs.values()},
+            "inputs": {source: self.entries[source].digest for source in stage.inputs.values()},
             "libraries": {name: ".".join(version(name).split(".")[:2]) for name in stage.libraries}
             | {"python": f"{sys.version_info.major}.{sys.version_info.minor}"},
         }
@@ -196,8 +208,8 @@ class Run:
         """(stage, fresh | stale | missing, why) of every stage, from manifests and source alone."""
         for stage in all_stages().values():
             last = self.store.last(self.robot_id, stage.name)
-            if any(source not in self._entries for source in stage.inputs.values()):
-                stale = next(s for s in stage.inputs.values() if s not in self._entries)
+            if any(source not in self.entries for source in stage.inputs.values()):
+                stale = next(s for s in stage.inputs.values() if s not in self.entries)
                 yield stage.name, "missing" if last is None else "stale", f"{stale} must run first"
                 continue
             parts = self.key_parts(stage)
@@ -209,7 +221,7 @@ class Run:
             if entry is None:
                 yield stage.name, "missing" if last is None else "stale", explain(last, parts)
             else:
-                self._entries[stage.name] = entry
+                self.entries[stage.name] = entry
                 yield stage.name, "fresh", ""
 
 

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from pipeline.results import (
+    RAW,
     Comparison,
     Compensated,
     Filtered,
@@ -25,6 +26,7 @@ from pipeline.results import (
     SiblingResiduals,
     SourceTask,
     Transferred,
+    Truth,
     Urdf,
 )
 from urdf.description import (
@@ -51,7 +53,8 @@ if TYPE_CHECKING:
 
     from identification.error_model import ErrorModel
     from identification.measurements import Measurements
-    from urdf.closed_chain import ClosedChain
+    from urdf.kinematics import Closure
+    from urdf.rigid_motion import Motion
 
 
 def model(mechanism: Mechanism, urdf: Path) -> Model:
@@ -115,14 +118,13 @@ def measure(
     seed: int,
 ) -> Measured:
     """The measurement table and streams: read from files, or measured by a virtual robot on itself."""
-    from identification.error_model import ErrorModel
     from identification.inclinometer import read_stream
     from identification.measurements import check_readings, read_table, to_table
     from pipeline.virtual_robot import VirtualRobot, default_channels, draw, stream_of
     from pipeline.virtual_robot import measure as sense
 
-    chain = model.chain()
-    nominal = ErrorModel.of(chain, actuator, tolerance)
+    nominal = error_model(model, tolerance, actuator)
+    chain = nominal.chain
     if not measure.virtual:
         assert measure.table is not None
         settings = measure if measure.streams is None else measure.of_columns(("pose", *chain.actuated_names))
@@ -169,14 +171,12 @@ def identify(
 ) -> Identified:
     """All geometric parameters from the measured poses; and from parts of them, to be scored on the rest."""
     from identification.diagnosis import registered as register
-    from identification.error_model import ErrorModel
     from identification.estimators import identify as estimate
     from identification.poses import folds, held_out
     from identification.summary import summarise
 
-    chain = model.chain()
-    errors = ErrorModel.of(chain, actuator, tolerance)
-    poses = _used(filtered, chain, sensor, split, seed)
+    errors = error_model(model, tolerance, actuator)
+    poses = used_poses(filtered, errors, sensor, split, seed)
     parts = () if measured.truth is not None else folds(len(poses), split, seed)
     test = held_out(len(poses), split, seed)
     registered = register(errors, poses, identify.max_iterations)
@@ -201,16 +201,13 @@ def prior(
     seed: int,
 ) -> SourceTask:
     """The source task: a uniform grid up to three axes, as in the paper, else evenly spread poses; all nominal."""
-    from identification.error_model import ErrorModel
     from identification.poses import planned
     from pipeline.learn import source_task
-    from urdf.kinematics import inverse
 
-    chain = model.chain()
-    errors = ErrorModel.of(chain, actuator, tolerance)
-    u = planned(model.mechanism.workspace, chain.tool_axes, Plan(poses=prior.poses), seed)
-    closure = inverse(chain, u).require(lambda row: f"prior: pose {row}")
-    return source_task(errors, errors.actuators.readings(closure.q[:, chain.actuated]), identified, pretrain)
+    errors = error_model(model, tolerance, actuator)
+    u = planned(model.mechanism.workspace, errors.chain.tool_axes, Plan(poses=prior.poses), seed)
+    _, readings = _closed(errors, u, "prior: pose")
+    return source_task(errors, readings, identified, pretrain)
 
 
 def pretrain(task: SourceTask, pretrain: Pretrain, seed: int) -> Pretrained:
@@ -235,30 +232,24 @@ def transfer(
     seed: int,
 ) -> Transferred:
     """The paper's networks, fine-tuned on measured poses; and the same from the identified model's prior."""
-    from identification.error_model import ErrorModel
     from pipeline.learn import learned
 
-    chain = model.chain()
-    errors = ErrorModel.of(chain, actuator, tolerance)
-    poses = _used(filtered, chain, sensor, split, seed)
+    errors = error_model(model, tolerance, actuator)
+    poses = used_poses(filtered, errors, sensor, split, seed)
     return Transferred(learned(errors, poses, identified, task, pretrained, pretrain, transfer, seed))
 
 
 def siblings(model: Model, siblings: Siblings, tolerance: Tolerance, actuator: dict[str, Actuator]) -> SiblingResiduals:
     """What geometry does not explain of virtual robots of this design, learned once for all that are built."""
-    from identification.error_model import ErrorModel
     from identification.poses import planned
     from learning.inherit import inherit
     from pipeline.siblings import residuals, unexplained
-    from urdf.kinematics import inverse
 
-    chain = model.chain()
-    errors = ErrorModel.of(chain, actuator, tolerance)
+    errors = error_model(model, tolerance, actuator)
     plan = Plan(poses=siblings.poses, layout="random")
-    u = planned(model.mechanism.workspace, chain.tool_axes, plan, siblings.seed)
-    closure = inverse(chain, u).require(lambda row: f"siblings: pose {row}")
-    readings = errors.actuators.readings(closure.q[:, chain.actuated])
-    give = residuals(chain, closure.q, siblings.count, siblings.seed)
+    u = planned(model.mechanism.workspace, errors.chain.tool_axes, plan, siblings.seed)
+    closure, readings = _closed(errors, u, "siblings: pose")
+    give = residuals(errors.chain, closure.q, siblings.count, siblings.seed)
     inherited, curve = inherit(
         readings,
         unexplained(errors, readings, closure.q, give),
@@ -282,12 +273,10 @@ def correct(
     seed: int,
 ) -> Hybrids:
     """The residual network of the actuators, and the geometry refined beside it."""
-    from identification.error_model import ErrorModel
     from pipeline.correct import corrected
 
-    chain = model.chain()
-    errors = ErrorModel.of(chain, actuator, tolerance)
-    poses = _used(filtered, chain, sensor, split, seed).scaled(identified.shipped.sensor_estimated)
+    errors = error_model(model, tolerance, actuator)
+    poses = used_poses(filtered, errors, sensor, split, seed).scaled(identified.shipped.sensor_estimated)
     inherited, known = siblings.inherited, not identified.shipped.sensor_estimated
     return Hybrids(tuple(corrected(errors, poses, fit, inherited, correct, seed, known) for fit in identified.fits()))
 
@@ -312,30 +301,29 @@ def compensate(
         return Compensated(0, {}, ())
     import numpy as np
 
-    from identification.error_model import ErrorModel
+    from pipeline.channels import parts
     from pipeline.comparison import method_score
     from pipeline.compensation import attempt
-    from pipeline.goal import Goal, parts
+    from pipeline.goal import Goal
     from pipeline.methods import build
     from pipeline.virtual_robot import VirtualRobot
-    from urdf.kinematics import inverse
+    from urdf.workspace import sample
 
-    chain = model.chain()
-    errors = ErrorModel.of(chain, actuator, tolerance)
+    errors = error_model(model, tolerance, actuator)
     channels = identified.shipped.channels
     methods = build(errors, identified.fits()[0], transferred.fits[0], hybrids.fits[0], channels)
-    u = _inner(model, evaluate.fresh_poses, seed)
-    closure = inverse(chain, u).require(lambda row: f"compensate: desired pose {row}")
+    # a little inside the workspace: commands differ from the nominal
+    u = 0.98 * sample(model.mechanism.workspace, errors.chain.tool_axes, evaluate.fresh_poses, [seed, 9])
+    closure, readings = _closed(errors, u, "compensate: desired pose")
     robot = VirtualRobot.of(errors, measured.truth)
-    readings = errors.actuators.readings(closure.q[:, chain.actuated])
     actual = robot.pose(readings, robot.after_campaign(readings))
     drawn = errors.robot(identified.registered)  # what was not measured can't be desired otherwise than as drawn
     desired = Goal(drawn, actual, parts(channels)).filled(drawn.measured(closure.pose))
     scores, reached = [], {}
     for name, method in methods.items():  # a network that has seen few poses may have no answer for some
-        tried = attempt(method, desired, chain, errors.actuators, channels)
+        tried = attempt(method, desired, errors.chain, errors.actuators, channels)
         there = robot.close(tried.readings, robot.after_campaign(tried.readings))
-        rows = np.flatnonzero(tried.good(chain, model.mechanism.workspace) & there.closed)
+        rows = np.flatnonzero(tried.good(errors.chain, model.mechanism.workspace) & there.closed)
         reached[name] = len(rows)
         if len(rows):
             pose = robot.robot.measured(there.pose)
@@ -360,14 +348,12 @@ def evaluate(
     seed: int,
 ) -> Comparison:
     """The methods side by side, on poses that none of them has seen."""
-    from identification.error_model import ErrorModel
     from pipeline.advice import advise
-    from pipeline.comparison import RAW, cross_validated, scores
+    from pipeline.comparison import cross_validated, scores
     from pipeline.methods import build, uncalibrated
 
-    chain = model.chain()
-    errors = ErrorModel.of(chain, actuator, tolerance)
-    poses = _used(filtered, chain, sensor, split, seed)
+    errors = error_model(model, tolerance, actuator)
+    poses = used_poses(filtered, errors, sensor, split, seed)
     channels = poses.channels
     parts = zip(identified.fits(), transferred.fits, hybrids.fits, strict=True)
     fits = [(fit, build(errors, fit, learned, own, channels)) for fit, learned, own in parts]
@@ -377,7 +363,7 @@ def evaluate(
         at, actual = poses, poses.as_poses()
         methods = cross_validated([(fit.test, by_fold) for fit, by_fold in fits[2:]], poses, channels)
     else:
-        at, actual = _fresh(model, errors, measured.truth, evaluate.fresh_poses, seed)
+        at, actual = fresh_poses(model, errors, measured.truth, evaluate.fresh_poses, seed)
         methods = scores(fits[0][1], at, actual, channels)
     return Comparison(
         robot=name,
@@ -413,12 +399,19 @@ def report(
     return Report(Html(page(model, filtered, identified, pretrained, transferred, siblings, hybrids, compared)))
 
 
-def _used(filtered: Filtered, chain: ClosedChain, sensor: Sensor, split: Split, seed: int) -> Measurements:
+def error_model(model: Model, tolerance: Tolerance, actuator: dict[str, Actuator]) -> ErrorModel:
+    """Of the robot as drawn."""
+    from identification.error_model import ErrorModel
+
+    return ErrorModel.of(model.chain(), actuator, tolerance)
+
+
+def used_poses(filtered: Filtered, errors: ErrorModel, sensor: Sensor, split: Split, seed: int) -> Measurements:
     """The measured poses, or as many of them as [split] asks for."""
     from identification.measurements import to_measurements
     from identification.poses import chosen
 
-    poses = to_measurements(filtered.table, chain.actuated_names, sensor)
+    poses = to_measurements(filtered.table, errors.chain.actuated_names, sensor)
     return poses if split.poses is None else poses[chosen(len(poses), split.poses, seed)]
 
 
@@ -433,28 +426,26 @@ def _fit(errors: ErrorModel, poses: Measurements, test: np.ndarray, settings: Id
     return Fit(test, registered.p, estimate(errors, train, settings, registered).p)
 
 
-def _fresh(model: Model, errors: ErrorModel, truth, n: int, seed: int):
+def fresh_poses(model: Model, errors: ErrorModel, truth: Truth, n: int, seed: int) -> tuple[Measurements, Motion]:
     """Random poses of the workspace, and where the virtual robot really goes there, without noise: warm, one by one."""
     import numpy as np
 
     from identification.measurements import Measurements
     from pipeline.virtual_robot import VirtualRobot
-    from urdf.kinematics import inverse
     from urdf.workspace import sample
 
-    chain = errors.chain
-    u = sample(model.mechanism.workspace, chain.tool_axes, n, [seed, 5])
-    closure = inverse(chain, u).require(lambda row: f"evaluate: fresh pose {row}")
-    readings = errors.actuators.readings(closure.q[:, chain.actuated])
+    u = sample(model.mechanism.workspace, errors.chain.tool_axes, n, [seed, 5])
+    _, readings = _closed(errors, u, "evaluate: fresh pose")
     robot = VirtualRobot.of(errors, truth)
     return Measurements(np.arange(n), readings), robot.pose(readings, robot.after_campaign(readings))
 
 
-def _inner(model: Model, n: int, seed: int) -> np.ndarray:
-    """Tool coordinates of random poses, a little inside the workspace: commands differ from the nominal."""
-    from urdf.workspace import sample
+def _closed(errors: ErrorModel, u: np.ndarray, what: str) -> tuple[Closure, np.ndarray]:
+    """The robot as drawn with its tool at u (n, 6), and the readings there. Raises InputError that says `what` row."""
+    from urdf.kinematics import inverse
 
-    return 0.98 * sample(model.mechanism.workspace, model.chain().tool_axes, n, [seed, 9])
+    closure = inverse(errors.chain, u).require(lambda row: f"{what} {row}")
+    return closure, errors.actuators.readings(closure.q[:, errors.chain.actuated])
 
 
 # In the order in which they run, with the libraries whose major.minor version is part of their result.

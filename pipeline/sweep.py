@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import os
-import uuid
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,6 +11,7 @@ from pipeline.executor import executor
 from pipeline.fan_out import Failure, Job, Outcome, Task, run_all
 from pipeline.grid import Over, combinations, parse_over
 from pipeline.tables import Table, fixed
+from pipeline.writing import refusing, replace_file
 from urdf.description import RobotDescription, load_robot
 from urdf.errors import CalibrationError, InputError
 
@@ -219,12 +218,10 @@ def _records(table: pd.DataFrame) -> list[dict[str, Any]]:
 def output_folder(output: Path | None, default: Path) -> Path:
     """Where the results go; tried before hours of work. Raises InputError."""
     folder = default if output is None else output
-    try:
+    with refusing(f"{'store' if output is None else '--output'} {folder}"):
         folder.mkdir(parents=True, exist_ok=True)
-        _replace(folder / ".sweep", b"")
+        replace_file(folder / ".sweep", b"")
         (folder / ".sweep").unlink(missing_ok=True)
-    except OSError as error:
-        raise _refused(folder, output, error) from None
     return folder.absolute()
 
 
@@ -241,30 +238,10 @@ def write(swept: Swept, folder: Path) -> tuple[Path, Path | None]:
 
         drawn = drawing(swept, over.key)
     table, figure = folder / "sweep.parquet", folder / "sweep.svg"
-    try:
-        _replace(table, buffer.getvalue())
+    with refusing(f"--output {folder}"):
+        replace_file(table, buffer.getvalue())
         if drawn is not None:
-            _replace(figure, drawn)
+            replace_file(figure, drawn.encode())
         else:
             figure.unlink(missing_ok=True)  # of an earlier sweep
-    except OSError as error:
-        raise _refused(folder, folder, error) from None
     return table, figure if drawn is not None else None
-
-
-def _refused(folder: Path, output: Path | None, error: OSError) -> InputError:
-    option = "--output " if output is not None else "store "
-    return InputError(f"{option}{folder}: can't be written: {error.strerror or error}")
-
-
-def _replace(file: Path, content: bytes) -> None:
-    temporary = file.with_name(f".{file.name}.{uuid.uuid4().hex}")
-    try:
-        with open(temporary, "wb") as stream:
-            stream.write(content)
-            stream.flush()
-            os.fsync(stream.fileno())
-        temporary.replace(file)
-    except BaseException:
-        temporary.unlink(missing_ok=True)
-        raise

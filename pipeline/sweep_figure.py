@@ -2,24 +2,22 @@
 
 from __future__ import annotations
 
-import io
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from matplotlib import rc_context
 from matplotlib.figure import Figure
 
-from pipeline.identification_figures import STYLE
+from pipeline.figures import STYLE, clean, quartile_line, svg
 from pipeline.sweep import UNITS, Swept, measured_units, medians
 
 if TYPE_CHECKING:
     import pandas as pd
 
-_COLOURS = ("#767676", "#1f5fa8", "#c98a00", "#7a3e9d", "#2a9d8f", "#b3261e", "#5b4636", "#d16ba5")
 _MOST_ROWS = 8  # combinations of the other swept values
 
 
-def drawing(swept: Swept, key: str) -> bytes:
+def drawing(swept: Swept, key: str) -> str:
     """An SVG whose bytes depend on the results alone. One column a unit, one row a combination of the other values."""
     found = medians(swept)
     units = measured_units(found)
@@ -41,19 +39,13 @@ def drawing(swept: Swept, key: str) -> bytes:
         left_out = f"; the first {len(shown)} of {len(parts)} combinations" if len(parts) > len(shown) else ""
         of_seeds = f"median and quartiles over {n} seeds" if n > 1 else "one seed"
         figure.suptitle(f"{swept.robot}: {of_seeds}{left_out}", fontsize=10)
-        buffer = io.BytesIO()
-        figure.savefig(buffer, format="svg", metadata={"Date": None})
-    return buffer.getvalue()
+        return svg(figure)
 
 
 def _draw(part: pd.DataFrame, key: str, mean: str, axes: Any) -> None:
-    for k, (name, rows) in enumerate(part.groupby("method", sort=False)):
-        columns = (key, mean, f"{mean}_low", f"{mean}_high")
-        x, y, low, high = rows.sort_values(by=key)[list(columns)].to_numpy(float, na_value=np.nan).T
-        colour = _COLOURS[k % len(_COLOURS)]
-        axes.plot(x, y, "o-", ms=2.5, lw=1.2, color=colour, label=name)
-        axes.fill_between(x, low, high, color=colour, alpha=0.18, lw=0)
+    columns = [key, mean, f"{mean}_low", f"{mean}_high"]
+    for name, rows in part.groupby("method", sort=False):
+        quartile_line(axes, str(name), *rows.sort_values(by=key)[columns].to_numpy(float, na_value=np.nan).T)
     axes.set_yscale("log")
     axes.set_ylabel(f"mean error [{UNITS[mean]}]")
-    axes.spines[["top", "right"]].set_visible(False)
-    axes.grid(alpha=0.25)
+    clean(axes)

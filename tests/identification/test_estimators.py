@@ -286,7 +286,7 @@ def test_nothing_moves_along_what_nothing_sees(name, channels, estimator, robot)
 
 
 def test_scale_of_the_priors_follows_the_robots(robot):
-    """Drawn from a fifth, from one and from ten tolerances: medians over 11 robots, by generalised cross-validation.
+    """Drawn from a fifth, from one and from ten tolerances: medians over 5 robots, by generalised cross-validation.
 
     It is a blunt instrument: what is seen well is predicted alike by any scale, and a tie goes to 1.
     """
@@ -294,7 +294,7 @@ def test_scale_of_the_priors_follows_the_robots(robot):
     median = {}
     for tolerances in (0.2, 1.0, 10.0):
         chosen = []
-        for seed in range(11):
+        for seed in range(5):
             _, measured = noisy(loaded, ("orientation",), 50, 100 + seed, tolerances)
             chosen.append(identify(loaded.model, measured, Identify(shrinkage="gcv")).shrinkage)
         median[tolerances] = float(np.median(chosen))

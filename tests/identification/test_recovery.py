@@ -47,8 +47,8 @@ def prediction_error(loaded, p: np.ndarray, truth: np.ndarray, channels, reading
         pytest.param(*case, frames, id=f"{name}-{frames}")
         for name, case in CASES.items()
         for frames in ("near", "far")
-        if (name, frames) != ("jugglebot pose", "near")
-    ],  # twelve seconds each
+        if (name, frames) != ("jugglebot pose", "near")  # twelve seconds each
+    ],
 )
 def test_noise_free_measurements_give_back_the_robot(name, channels, n, frames, robot):
     """A robot at random within its tolerances, W and T near or of any size: 200 fresh poses to 1e-7 m and rad.
@@ -66,17 +66,19 @@ def test_noise_free_measurements_give_back_the_robot(name, channels, n, frames, 
     )
     found = identify(loaded.model, measured)
     assert found.success
+    assert found.cost < len(loaded.model.parameters)  # half the truth's prior, and little else
     fresh = loaded.readings(200, 11)
     before = loaded.model.with_frames(np.zeros(len(truth)), *[Motion.from_vector(v) for v in truth[-12:].reshape(2, 6)])
     assert prediction_error(loaded, before, truth, channels, fresh) > 1e-4  # there was something to find
     assert prediction_error(loaded, found.p, truth, channels, fresh) < (1e-6 if name == "jugglebot" else 1e-7)
 
 
-@pytest.mark.parametrize(
-    "name, sigma, seed", [("ups3_s", 1e-9, 1), ("ups3_s", 1e-9, 2), ("jugglebot", 1e-7, 1), ("ur10", 1e-9, 1)]
-)
+@pytest.mark.parametrize("name, sigma, seed", [("ups3_s", 1e-9, 1), ("ups3_s", 1e-9, 2), ("ur10", 1e-9, 1)])
 def test_identification_converges_however_precise_the_data(name, sigma, seed, robot):
-    """Noise-free data and a sigma far below the tolerances: a narrow curved valley, and yet its bottom is found."""
+    """Noise-free data and a sigma far below the tolerances: a narrow curved valley, and yet its bottom is found.
+
+    That of jugglebot with 1e-7: in the test above.
+    """
     loaded = robot(name)
     channels = ("orientation",) if name == "ups3_s" else ("orientation", "position")
     measured = loaded.measure(

@@ -41,6 +41,8 @@ SMALL = (
     "siblings.poses=40",
     "siblings.hidden=6",
     "siblings.iterations=30",
+    "correct.own_units=4",
+    "correct.shared_units=4",
     "evaluate.closed_loop=false",  # test_six_methods closes it
 )
 QUICK = ("plan.poses=12", *SMALL)

@@ -15,13 +15,13 @@ from scipy import stats
 from pipeline import reproduce
 from pipeline.claims import claims, pretraining
 from pipeline.cli import main
-from pipeline.comparison import RAW
 from pipeline.fingerprint import ROOT
 from pipeline.methods import METHODS
 from pipeline.paired import holm, paired, signed_rank, trend
 from pipeline.paper import AXES, RANGES, TESTING
 from pipeline.reproduce import Point, Reproduced, Study, plan, points, tables_points
 from pipeline.reproduction import choices, over_range, ranges
+from pipeline.results import RAW
 from urdf.description import load_robot
 from urdf.errors import InputError
 
@@ -46,8 +46,10 @@ QUICK = (
     'measure.channels=["orientation"]',
     *("pretrain.iterations=60", "pretrain.continued=5", "transfer.iterations=40"),
     *("siblings.count=4", "siblings.poses=40", "siblings.iterations=20", "siblings.hidden=4"),
+    *("correct.own_units=4", "correct.shared_units=4"),
 )
 
+pytestmark = pytest.mark.xdist_group("reproduction")  # one worker: the tiny study is dear
 
 # The command
 

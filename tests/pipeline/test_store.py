@@ -99,7 +99,7 @@ def same(a, b) -> bool:
 
 
 @pytest.mark.parametrize("stage", all_stages())
-@settings(max_examples=15, deadline=None, suppress_health_check=list(HealthCheck), derandomize=True, database=None)
+@settings(max_examples=8, deadline=None, suppress_health_check=list(HealthCheck), derandomize=True, database=None)
 @given(data=st.data())
 def test_every_result_comes_back_as_it_was(stage, data):
     kind = all_stages()[stage].result

@@ -7,8 +7,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from identification.error_model import ErrorModel
+from pipeline import stages
 from pipeline.results import Measured, Truth
-from pipeline.stages import _fresh
 from pipeline.virtual_errors import Circumstances, approaches, clearance
 from pipeline.virtual_robot import VirtualRobot, draw, stream_of
 from pipeline.virtual_robot import measure as sense
@@ -349,5 +349,5 @@ def quaternions(measured: Measured) -> Rotation:
 
 def fresh_poses(truth: Truth, scene: Scene, robot) -> tuple[np.ndarray, Motion]:
     """Readings of poses that a method is scored on, and the truth there."""
-    at, pose = _fresh(robot("ups3_s").description, scene.nominal, truth, 40, 0)
+    at, pose = stages.fresh_poses(robot("ups3_s").description, scene.nominal, truth, 40, 0)
     return at.readings, pose

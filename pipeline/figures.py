@@ -1,0 +1,43 @@
+"""What all figures share: their style, the methods' colours, and SVG whose bytes depend on the results alone."""
+
+from __future__ import annotations
+
+import io
+from typing import Any
+
+import numpy as np
+from matplotlib.backends.backend_svg import FigureCanvasSVG
+from matplotlib.figure import Figure
+
+STYLE: Any = {"svg.hashsalt": "kincal", "svg.fonttype": "none", "font.size": 9, "font.family": "sans-serif"}
+BLUE, RED, GREY = "#1f5fa8", "#b3261e", "#767676"
+COLOURS = {
+    "nominal": GREY,
+    "geometric": BLUE,
+    "network": "#c98a00",
+    "transfer": "#7a3e9d",
+    "transfer_identified": "#2a9d8f",
+    "hybrid": RED,
+}
+
+
+def svg(figure: Figure) -> str:
+    buffer = io.StringIO()
+    FigureCanvasSVG(figure).print_svg(buffer, metadata={"Date": None, "Creator": None})
+    return buffer.getvalue()
+
+
+def inline(document: str) -> str:
+    """An SVG as it stands in a page: without what comes before its element."""
+    return document[document.index("<svg") :]
+
+
+def clean(axes: Any, grid: str = "both") -> None:
+    axes.spines[["top", "right"]].set_visible(False)
+    axes.grid(alpha=0.25, axis=grid)
+
+
+def quartile_line(axes: Any, method: str, x: np.ndarray, median: np.ndarray, low: np.ndarray, high: np.ndarray) -> None:
+    """A method's median and quartiles (n,) over seeds."""
+    axes.plot(x, median, "o-", ms=2.5, lw=1.2, color=COLOURS[method], label=method)
+    axes.fill_between(x, low, high, color=COLOURS[method], alpha=0.18, lw=0)

@@ -1,0 +1,56 @@
+"""What the commands have in common: their options, and the robot that they open."""
+
+from __future__ import annotations
+
+import shlex
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+from cyclopts import Parameter
+
+from pipeline.console import Progress
+from urdf.errors import InputError
+
+if TYPE_CHECKING:
+    from pipeline.runner import Run
+
+Robot = Annotated[str, Parameter(help="A shipped robot's name, or the path to a robot.toml.")]
+Flag = Annotated[bool, Parameter(negative=())]
+Json = Annotated[bool, Parameter(name="--json", negative=(), help="One JSON document on stdout.")]
+JsonInstead = Annotated[Json, Parameter(help="One JSON document on stdout instead.")]
+
+
+@Parameter(name="*")
+@dataclass(frozen=True)
+class Common:
+    """Options that every command has."""
+
+    set: Annotated[list[str] | None, Parameter(name="--set", negative=())] = None
+    """Override one value of robot.toml: table.key=value, in TOML syntax; may be repeated."""
+    store: Path = Path(".kincal")
+    """The folder of cached artifacts."""
+
+    @property
+    def overrides(self) -> tuple[str, ...]:
+        return tuple(self.set or ())
+
+
+COMMON = Common()
+
+
+def opened(robot: str, common: Common, force_from: str | None = None) -> Run:
+    """The robot's way through the stages, which says on stderr how far it is. Raises InputError."""
+    from pipeline.artifacts import Store
+    from pipeline.runner import Run, all_stages
+    from urdf.description import load_robot, nearest
+
+    if force_from is not None and force_from not in all_stages():
+        raise InputError(f"--force-from {force_from}: no such stage; {nearest(force_from, all_stages())}")
+    loaded = load_robot(robot, common.overrides)
+    return Run(loaded, Store(common.store), force_from, Progress(loaded.description.name), command_line())
+
+
+def command_line() -> str:
+    return shlex.join(["kincal", *sys.argv[1:]])

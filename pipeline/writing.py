@@ -1,0 +1,38 @@
+"""Files that stand there whole or not at all, whatever happens meanwhile."""
+
+from __future__ import annotations
+
+import os
+import uuid
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from urdf.errors import InputError
+
+
+def write_flushed(file: Path, content: bytes) -> None:
+    """Down to the disk. Raises OSError."""
+    with open(file, "wb") as stream:
+        stream.write(content)
+        stream.flush()
+        os.fsync(stream.fileno())
+
+
+def replace_file(file: Path, content: bytes, aside: Path | None = None) -> None:
+    """Written aside (default: beside the file), then renamed: what stood there is replaced at once. Raises OSError."""
+    temporary = (aside or file.parent) / f".{file.name}.{uuid.uuid4().hex}"
+    try:
+        write_flushed(temporary, content)
+        temporary.replace(file)
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+@contextmanager
+def refusing(what: str) -> Iterator[None]:
+    """An OSError becomes the InputError "`what`: can't be written: why"."""
+    try:
+        yield
+    except OSError as error:
+        raise InputError(f"{what}: can't be written: {error.strerror or error}") from None
