@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from identification.channels import all_turns
 from urdf.rigid_motion import Motion, log
 
 
@@ -47,7 +48,7 @@ def score(actual: Motion, predicted: Motion, channels: tuple[str, ...]) -> Score
 
     Tilt without a heading is scored by the angle between the gravity directions, and about z there is nothing.
     """
-    full = "orientation" in channels or ("tilt" in channels and "yaw" in channels)
+    full = all_turns(channels)
     turned: tuple[float | None, float | None, float | None] = (None, None, None)
     axes: list[float | None] = [None] * 3
     if full or "tilt" in channels:

@@ -6,9 +6,9 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from identification.channels import all_turns, parts
 from identification.error_model import ErrorModel
 from identification.predicted_accuracy import mean_length
-from pipeline.channels import all_turns, parts
 from pipeline.methods import METHODS, HybridMethod, Method, ModelMethod
 from pipeline.results import Advice, Corrected, Fit, MethodScore
 from pipeline.spread import pose_covariance, seen_from

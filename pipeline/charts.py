@@ -12,10 +12,10 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from identification.channels import all_turns
 from identification.error_model import BuiltRobot
 from identification.measurements import Measurements
 from identification.registration import vertical_in_target
-from pipeline.channels import all_turns
 from urdf.kinematics import pose_at, tool_coordinates
 from urdf.rigid_motion import Motion
 

@@ -12,8 +12,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from identification.accuracy import gravity_error
+from identification.channels import all_turns, parts
 from identification.error_model import BuiltRobot
-from pipeline.channels import all_turns, parts
 from urdf.kinematics import Closure, inverse, tool_coordinates, tool_pose, tool_rates, tree
 from urdf.rigid_motion import Motion, exp, skew, wrap, xyz_rates, zyx_angles
 

@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
+from identification.channels import parts
 from identification.error_model import ErrorModel
 from identification.measurements import check_readings, quaternions, read_table, to_measurements
-from pipeline.channels import parts
 from pipeline.comparison import scores
 from pipeline.compensation import commands
 from pipeline.goal import Goal

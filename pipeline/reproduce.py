@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pipeline.channels import all_turns
+from identification.channels import all_turns
 from pipeline.executor import executor
 from pipeline.fan_out import Failure, Job, Outcome, Task, run_all
 from pipeline.pose_errors import PoseErrors, errors_of

@@ -301,7 +301,7 @@ def compensate(
         return Compensated(0, {}, ())
     import numpy as np
 
-    from pipeline.channels import parts
+    from identification.channels import parts
     from pipeline.comparison import method_score
     from pipeline.compensation import attempt
     from pipeline.goal import Goal

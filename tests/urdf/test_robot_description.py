@@ -184,6 +184,7 @@ def test_overrides_take_tables_and_lists():
         ("seed.deep=1", ["--set seed.deep=1", "seed", "not a table"]),
         ("actuated.first=1", ["--set actuated.first=1"]),
         ("plan..poses=3", ["--set plan..poses=3"]),
+        ("plan.poses=" + "9" * 5000, ["plan.poses", "999"]),
         ("plann.poses=3", ["--set plann.poses=3", "unknown key", "'plan'"]),
         ("measure.error.elastic=false", ["--set measure.error.elastic=false", "'errors'"]),
     ],
