@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 import scipy.linalg
 
+from identification.channels import all_turns
 from identification.error_model import ErrorModel
 from identification.expected import Sites, prior_sigma
 
@@ -48,7 +49,7 @@ class Probe:
         p = np.zeros(len(model.parameters))
         jacobian = model.pose_jacobian(p, sites.readings, sites.q) * prior_sigma(model.parameters)
         turned = jacobian[:, :3]
-        if "orientation" not in channels and not {"tilt", "yaw"} <= set(channels):
+        if not all_turns(channels):
             robot = model.robot(p)
             up = robot.measured(robot.close(sites.readings, sites.q).pose).rotation[:, 2]  # the vertical in the target
             turned = turned - up[:, :, None] * np.einsum("ni,nij->nj", up, turned)[:, None]
