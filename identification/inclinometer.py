@@ -10,14 +10,13 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 import pandas as pd
 from scipy.special import chdtri
 
-from identification.measurements import UNITS, load, numbers
-from urdf.description import Column, Filter, Measure, Sensor
+from identification.measurements import UNITS
+from urdf.description import Filter, Sensor
 from urdf.errors import InputError
 
 CHANNELS = ("roll", "pitch", "yaw")
@@ -35,27 +34,6 @@ class StaticAttitude:
     covariance: np.ndarray
     used: int
     gated: int
-
-
-def read_stream(file: Path, measure: Measure) -> pd.DataFrame:
-    """A stream file as t [s], pose, roll, pitch [rad] and, where it has one, yaw. Raises InputError as `read_table`."""
-    raw = load(file, measure)
-    columns = {}
-    for name in ("t", "pose", *CHANNELS):
-        column = measure.columns.get(name, Column.model_validate({"from": name}))
-        source = column.source if column.source in raw.columns else name
-        if source in raw.columns:
-            found = column if source == column.source else Column.model_validate({"from": name})
-            columns[name] = numbers(raw[source].tolist(), found, file)
-        elif name != "yaw":
-            found = ", ".join(map(str, raw.columns))
-            raise InputError(f"{file}: column {source!r} is missing from the stream; it has {found}")
-    stream = pd.DataFrame(columns)
-    backwards = np.flatnonzero(np.diff(stream["t"].to_numpy()) < 0)
-    if len(backwards):
-        row, t = backwards[0] + 1, stream["t"].to_numpy()
-        raise InputError(f"{file}: column 't', row {row + 1}: time runs backwards, from {t[row - 1]:g} to {t[row]:g} s")
-    return stream
 
 
 def _sample_sigma(sensor: Sensor, channel: str, stretches: Iterable[pd.DataFrame]) -> float:

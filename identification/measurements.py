@@ -169,7 +169,8 @@ def numbers(values: Sequence[object], column: Column, file: Path, first: int = 0
     bad = np.flatnonzero(~np.isfinite(found) | np.array([isinstance(value, bool) for value in values], dtype=bool))
     if len(bad):
         raise InputError(
-            f"{file}: column {column.source!r}, row {first + bad[0] + 1}: found {values[bad[0]]!r}; allowed are finite numbers"
+            f"{file}: column {column.source!r}, row {first + bad[0] + 1}: found {values[bad[0]]!r}; "
+            "allowed are finite numbers"
         )
     return found * UNITS[column.unit]
 

@@ -14,6 +14,7 @@ from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
 
 from identification.identification import Identification
+from identification.streams.campaign import Campaign
 from pipeline.fingerprint import ROOT
 from pipeline.identification_figures import BLUE, GREY, RED, STYLE, changes, singular_values
 from pipeline.results import (
@@ -32,6 +33,7 @@ from pipeline.tables import collinear_lines, comparison_tables, parameter_table,
 
 def page(
     model: Model,
+    campaign: Campaign | None,
     filtered: Filtered,
     identified: Identified,
     pretrained: Pretrained,
@@ -54,6 +56,7 @@ def page(
         }
     return environment.get_template("report.html").render(
         model=model,
+        campaign=campaign,
         filtered=filtered,
         pretrained=pretrained,
         corrected=hybrids.fits[0],

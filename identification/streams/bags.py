@@ -1,7 +1,8 @@
 """ROS 1 bags, ROS 2 bags (sqlite3, mcap) and MCAP files, by rosbags: sensor_msgs/Imu, geometry_msgs/Vector3Stamped.
 
-Axes after REP 103: x forward, y to port, z up, as kincal's. An Imu without an orientation (its covariance begins with -1)
-is an inclinometer by its accelerometer. A Vector3Stamped holds roll, pitch [rad] in x, y; a column map says otherwise.
+Axes after REP 103: x forward, y to port, z up, as kincal's. An Imu without an orientation (its covariance begins with
+-1) is an inclinometer by its accelerometer. A Vector3Stamped holds roll, pitch [rad] in x, y, unless a column map says
+otherwise.
 """
 
 from __future__ import annotations

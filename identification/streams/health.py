@@ -57,7 +57,9 @@ class StreamHealth:
         if self.gaps:
             said.append(f"{self.gaps} gaps, the longest {self.longest_gap:.3g} s")
         if self.clock_steps:
-            said.append(f"the clock was set back {self.clock_steps} times; later times were shifted by {self.shift:.6g} s")
+            said.append(
+                f"the clock was set back {self.clock_steps} times; later times were shifted by {self.shift:.6g} s"
+            )
         return tuple(said)
 
     def require(self, file: Path) -> StreamHealth:

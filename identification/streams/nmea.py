@@ -1,8 +1,8 @@
 """NMEA 0183 logs: $PSXN,23; $PASHR; $PRDID; $--XDR with PITCH and ROLL; $--HDT; checked and read by pynmeagps.
 
 Signs, as the makers' manuals have them (Kongsberg Seapath, Applanix POS MV, Oxford/Trimble): roll is positive port up,
-as kincal's; pitch is positive bow up, kincal's bow down; heading is clockwise from north, yaw = -heading, counter-clockwise
-about z up; Seapath's heave is positive down, kincal's up.
+as kincal's; pitch is positive bow up, kincal's bow down; heading is clockwise from north, yaw = -heading,
+counter-clockwise about z up; Seapath's heave is positive down, kincal's up.
 """
 
 from __future__ import annotations

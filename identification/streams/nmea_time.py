@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from datetime import datetime, timezone
+from datetime import UTC, datetime
 from typing import Any, Protocol
 
 import numpy as np
@@ -99,7 +99,7 @@ class FromSentences:
 
     def zda(self, message: Any) -> list[Row]:
         try:
-            midnight = datetime(int(message.year), int(message.month), int(message.day), tzinfo=timezone.utc).timestamp()
+            midnight = datetime(int(message.year), int(message.month), int(message.day), tzinfo=UTC).timestamp()
             t = message.time
             seconds = t.hour * 3600 + t.minute * 60 + t.second + 1e-6 * t.microsecond
         except (AttributeError, TypeError, ValueError, OverflowError):

@@ -106,7 +106,7 @@ def open_stream(file: Path, measure: Measure) -> Stream:
     return Stream(file, measure, form, prepared)
 
 
-def read_stream(file: Path, measure: Measure) -> tuple[pd.DataFrame, StreamHealth]:
+def read_log(file: Path, measure: Measure) -> tuple[pd.DataFrame, StreamHealth]:
     """A whole stream: the samples of all chunks together, and what was wrong with the file.
 
     A log's optional channel is kept where nine samples in ten have it, and then those that don't are left out.
@@ -116,7 +116,7 @@ def read_stream(file: Path, measure: Measure) -> tuple[pd.DataFrame, StreamHealt
     return whole if stream.prepared else complete(whole), stream.health
 
 
-def read_prepared(file: Path, measure: Measure) -> pd.DataFrame:
+def read_stream(file: Path, measure: Measure) -> pd.DataFrame:
     """A stream that says of each sample which pose it is of. Raises InputError for any other, and as `read_table`."""
     stream = open_stream(file, measure)
     if not stream.prepared:
@@ -156,6 +156,7 @@ def _format(file: Path) -> str:
         return "nmea"
     suffix = file.suffix.lower()
     known = {".parquet": "parquet", ".pq": "parquet", ".bag": "bag", ".mcap": "bag", ".db3": "bag", ".nmea": "nmea"}
+    known |= dict.fromkeys((".csv", ".txt", ".tsv"), "csv")
     if suffix not in known and b"\0" in head:
         raise InputError(f"{file}: no known format: allowed are CSV, Parquet, NMEA 0183, ROS bags and MCAP")
     return known.get(suffix, "csv")

@@ -1,7 +1,7 @@
 """Stuck and saturated channels: runs of one value that are longer than the channel's resolution explains.
 
-A channel of coarse resolution, or one that is logged faster than it is sampled, repeats values in health. So the share p
-of samples that repeat the one before tells how long a run may be: one of n samples has probability p^n.
+A channel of coarse resolution, or one that is logged faster than it is sampled, repeats values in health. So the share
+p of samples that repeat the one before tells how long a run may be: one of n samples has probability p^n.
 """
 
 from __future__ import annotations

@@ -11,7 +11,7 @@ from collections.abc import Iterator
 from io import BytesIO
 from itertools import islice
 from pathlib import Path
-from typing import BinaryIO
+from typing import Any, BinaryIO
 
 import numpy as np
 import pandas as pd
@@ -27,17 +27,13 @@ _LONGEST = 1 << 16  # bytes of a line: beyond it is garbage
 
 
 def prepared(file: Path, measure: Measure, form: str) -> Iterator[pd.DataFrame]:
-    """Chunks of a stream with a pose column. Raises InputError for values that are no numbers and time that runs back."""
-    first, last, previous = 0, -np.inf, 0
+    """Chunks of a stream with a pose column. InputError for values that are no numbers and time that runs backwards."""
+    first, last = 0, -np.inf
     with readable(file):
         names = _names(file, measure, form)
         columns = mapped(names, measure, file, prepared=True)
-        if form == "parquet":
-            chunks = _parquet(file, [c.source for c in columns.values()])
-        else:
-            options = {"sep": measure.separator, "decimal": measure.decimal, "skipinitialspace": True}
-            chunks = pd.read_csv(file, chunksize=ROWS, **options)
-        for raw in chunks:
+        sources = [c.source for c in columns.values()]
+        for raw in _parquet(file, sources) if form == "parquet" else _whole_csv(file, measure):
             chunk = strictly(raw, columns, file, first)
             t = np.concatenate([[last], chunk["t"]])
             backwards = np.flatnonzero(np.diff(t) < 0)
@@ -48,7 +44,7 @@ def prepared(file: Path, measure: Measure, form: str) -> Iterator[pd.DataFrame]:
                 )
             first, last = first + len(chunk), t[-1]
             yield chunk
-    if first == previous:
+    if not first:
         yield pd.DataFrame({name: np.zeros(0) for name in columns})
 
 
@@ -86,6 +82,12 @@ def _parquet(file: Path, columns: list[str]) -> Iterator[pd.DataFrame]:
     with pq.ParquetFile(file) as table:
         for batch in table.iter_batches(batch_size=ROWS, columns=columns):
             yield batch.to_pandas()
+
+
+def _whole_csv(file: Path, measure: Measure) -> Iterator[pd.DataFrame]:
+    options: dict[str, Any] = {"sep": measure.separator, "decimal": measure.decimal, "skipinitialspace": True}
+    with pd.read_csv(file, chunksize=ROWS, **options) as chunks:
+        yield from chunks
 
 
 def _csv(file: Path, measure: Measure, names: list[str], wanted: list[str], tally: Tally) -> Iterator[pd.DataFrame]:

@@ -10,6 +10,7 @@ The stream is cut where time does not run on by one to five sample intervals; ea
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from itertools import pairwise
 
 import numpy as np
 import pandas as pd
@@ -46,7 +47,7 @@ class Timeline:
             self.held = [chunk[bounds[-2] :]]
             bounds = bounds[:-1]
         times, keep = np.empty(len(t)), np.zeros(len(t), dtype=bool)
-        for begin, end in zip(bounds[:-1], bounds[1:], strict=True):
+        for begin, end in pairwise(bounds):
             following = t[end] if end < len(t) else None
             times[begin:end], keep[begin:end] = self._piece(t[begin:end], following)
         return chunk[keep].assign(t=times[keep])
