@@ -185,7 +185,7 @@ class Log(_Table):
     offset_seconds: float | None = None  # the log's clock minus the command log's; default: estimated
     settle_seconds: NotNegative = 1.0  # cut from the start of a still stretch
     min_seconds: Positive = 2.0  # what must be left of it
-    max_seconds: Positive = 60.0  # what is used of it
+    max_seconds: Positive = 20.0  # what is used of it
 
 
 class Measure(_Table):

@@ -11,6 +11,7 @@ import pandas as pd
 from identification.streams.campaign import Campaign, ClockOffset, DroppedPose
 from identification.streams.clock_offset import estimate_offset
 from identification.streams.commands import read_commands
+from identification.streams.columns import ANGLES
 from identification.streams.reading import complete, open_stream
 from identification.streams.stillness import binned
 from identification.streams.windows import Window, still_windows
@@ -42,9 +43,8 @@ def static_poses(measure: Measure, joints: Sequence[str]) -> StaticPoses:
     bins = binned(stream)
     offset = estimate_offset(bins, holds, file) if log.offset_seconds is None else ClockOffset(log.offset_seconds)
     windows, dropped = still_windows(bins, holds, offset.seconds, log)
-    samples = _within(stream, windows)
-    parts = dict(iter(samples.groupby("pose"))) if len(samples) else {}
-    dropped += [DroppedPose(w.pose, why) for w in windows if (why := _unusable(parts.get(w.pose)))]
+    samples = _with_heading(_within(stream, windows), measure)
+    dropped += _unusable(samples, [w.pose for w in windows])
     bad = {d.pose for d in dropped}
     rows = [w.row for w in windows if w.pose not in bad]
     if not rows:
@@ -71,11 +71,23 @@ def _within(chunks: Iterable[pd.DataFrame], windows: list[Window]) -> pd.DataFra
     return complete(pd.concat(found)) if found else pd.DataFrame({"t": [], "pose": []})
 
 
-def _unusable(part: pd.DataFrame | None) -> str | None:
-    if part is None or len(part) < _LEAST:
-        return f"{0 if part is None else len(part)} good samples; allowed are at least {_LEAST}"
-    for channel in ("roll", "pitch"):
-        values = part[channel].to_numpy(float)
-        if len(values) >= _STUCK and np.ptp(values) == 0:
-            return f"channel {channel!r} is stuck at {np.rad2deg(values[0]):.6g} degrees for all {len(values)} samples"
-    return None
+def _with_heading(samples: pd.DataFrame, measure: Measure) -> pd.DataFrame:
+    """Without yaw where it is not wanted (measure.channels), or where in most poses its resolution hides its noise."""
+    if "yaw" not in samples:
+        return samples
+    alike = (samples.groupby("pose")["yaw"].nunique() == 1).mean() > 0.5
+    unwanted = measure.channels is not None and "yaw" not in measure.channels
+    return samples.drop(columns="yaw") if alike or unwanted else samples
+
+
+def _unusable(samples: pd.DataFrame, poses: list[int]) -> list[DroppedPose]:
+    """Poses with too few samples, and those in which a channel is stuck."""
+    grouped = samples.groupby("pose")
+    count = grouped.size().reindex(poses, fill_value=0)
+    few = [DroppedPose(p, f"{n} good samples; allowed are at least {_LEAST}") for p, n in count.items() if n < _LEAST]
+    stuck = {}
+    for channel in (c for c in ANGLES if c in samples):
+        alike = grouped[channel].nunique() == 1
+        for pose in alike.index[alike & (grouped.size() >= _STUCK)]:
+            stuck[pose] = DroppedPose(pose, f"channel {channel!r} is stuck for all {count[pose]} samples")
+    return few + list(stuck.values())

@@ -79,8 +79,9 @@ def has_pose(file: Path, measure: Measure, form: str) -> bool:
 def _parquet(file: Path, columns: list[str]) -> Iterator[pd.DataFrame]:
     import pyarrow.parquet as pq
 
-    with pq.ParquetFile(file) as table:
-        for batch in table.iter_batches(batch_size=ROWS, columns=columns):
+    # by default it reads ahead: as much memory as the file has bytes
+    with pq.ParquetFile(file, buffer_size=1 << 20, pre_buffer=False) as table:
+        for batch in table.iter_batches(batch_size=ROWS, columns=columns, use_threads=False):
             yield batch.to_pandas()
 
 

@@ -13,7 +13,18 @@ from identification.streams.reading import open_stream, read_log
 from urdf.description import Log, Measure
 from urdf.errors import InputError
 
-ADDED = ("samples", "other", "garbage", "checksum", "untimed", "not_finite", "jumped", "repeated", "backwards", "frozen")
+ADDED = (
+    "samples",
+    "other",
+    "garbage",
+    "checksum",
+    "untimed",
+    "not_finite",
+    "jumped",
+    "repeated",
+    "backwards",
+    "frozen",
+)
 
 
 def log(n=2000, rate=50.0, seed=0) -> pd.DataFrame:
@@ -144,7 +155,9 @@ def test_mostly_garbage_is_refused_with_the_counts(tmp_path, nmea, write):
     lines = [f"{k}.0 {nmea(f'PRDID,{k % 7}.00,2.00,30.00')}" for k in range(100)]
     spoiled = [line[:-2] + "00" if k % 5 < 3 else line for k, line in enumerate(lines)]
     file = write("ship.log", spoiled)
-    with pytest.raises(InputError, match=r"ship\.log: 40 of 100 records are good .*60 of 100 records fail their checksum"):
+    with pytest.raises(
+        InputError, match=r"ship\.log: 40 of 100 records are good .*60 of 100 records fail their checksum"
+    ):
         read_log(file, measure(file))
     frame = log(100)
     frame.loc[:70, "roll"] = np.nan

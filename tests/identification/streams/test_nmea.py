@@ -59,7 +59,9 @@ def test_time_of_the_sentences_own(nmea, write):
     """PASHR over midnight, without a date and then with one."""
     bodies = [
         f"PASHR,{h:02d}{m:02d}{s:05.2f},30.00,T,2.00,{k % 7}.00,0.5,0.1,0.1,0.2,1,1"
-        for k, (h, m, s) in enumerate([(23, 59, 50 + 0.5 * k) for k in range(20)] + [(0, 0, 0.5 * k) for k in range(20)])
+        for k, (h, m, s) in enumerate(
+            [(23, 59, 50 + 0.5 * k) for k in range(20)] + [(0, 0, 0.5 * k) for k in range(20)]
+        )
     ]
     samples, _ = logged(write("ship.log", [nmea(body) for body in bodies]))
     np.testing.assert_allclose(samples["t"], 86390 + 0.5 * np.arange(40), atol=1e-6)
