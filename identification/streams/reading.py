@@ -109,7 +109,7 @@ def open_stream(file: Path, measure: Measure) -> Stream:
 def read_log(file: Path, measure: Measure) -> tuple[pd.DataFrame, StreamHealth]:
     """A whole stream: the samples of all chunks together, and what was wrong with the file.
 
-    A log's optional channel is kept where nine samples in ten have it and it changes; samples without it are left out.
+    A log's optional channel is kept where nine samples in ten have it, and then those without it are left out.
     """
     stream = open_stream(file, measure)
     whole = together(list(stream))
@@ -133,14 +133,9 @@ def together(chunks: list[pd.DataFrame]) -> pd.DataFrame:
 
 
 def complete(samples: pd.DataFrame) -> pd.DataFrame:
-    """Without optional channels that many samples lack or that never change (an instrument without a heading says 0),
-    and without the samples that lack one of the others."""
-    missing = [
-        name
-        for name in samples
-        if name in OPTIONAL and (samples[name].notna().mean() < _MOSTLY or samples[name].nunique() < 2)
-    ]
-    return samples.drop(columns=missing).dropna().reset_index(drop=True)
+    """Without the optional channels that many samples lack, and without the samples that lack one of the others."""
+    lacking = [name for name in samples if name in OPTIONAL and samples[name].notna().mean() < _MOSTLY]
+    return samples.drop(columns=lacking).dropna().reset_index(drop=True)
 
 
 def _format(file: Path) -> str:

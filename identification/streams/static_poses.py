@@ -10,8 +10,8 @@ import pandas as pd
 
 from identification.streams.campaign import Campaign, ClockOffset, DroppedPose
 from identification.streams.clock_offset import estimate_offset
+from identification.streams.columns import ANGLES, OPTIONAL
 from identification.streams.commands import read_commands
-from identification.streams.columns import ANGLES
 from identification.streams.reading import complete, open_stream
 from identification.streams.stillness import binned
 from identification.streams.windows import Window, still_windows
@@ -43,7 +43,7 @@ def static_poses(measure: Measure, joints: Sequence[str]) -> StaticPoses:
     bins = binned(stream)
     offset = estimate_offset(bins, holds, file) if log.offset_seconds is None else ClockOffset(log.offset_seconds)
     windows, dropped = still_windows(bins, holds, offset.seconds, log)
-    samples = _with_heading(_within(stream, windows), measure)
+    samples = _telling(_within(stream, windows), measure)
     dropped += _unusable(samples, [w.pose for w in windows])
     bad = {d.pose for d in dropped}
     rows = [w.row for w in windows if w.pose not in bad]
@@ -71,13 +71,15 @@ def _within(chunks: Iterable[pd.DataFrame], windows: list[Window]) -> pd.DataFra
     return complete(pd.concat(found)) if found else pd.DataFrame({"t": [], "pose": []})
 
 
-def _with_heading(samples: pd.DataFrame, measure: Measure) -> pd.DataFrame:
-    """Without yaw where it is not wanted (measure.channels), or where in most poses its resolution hides its noise."""
-    if "yaw" not in samples:
-        return samples
-    alike = (samples.groupby("pose")["yaw"].nunique() == 1).mean() > 0.5
-    unwanted = measure.channels is not None and "yaw" not in measure.channels
-    return samples.drop(columns="yaw") if alike or unwanted else samples
+def _telling(samples: pd.DataFrame, measure: Measure) -> pd.DataFrame:
+    """Without optional channels that in most poses don't change: no instrument is behind them (a heading of 0), or its
+    resolution hides its noise; and without a yaw that is not wanted (measure.channels)."""
+    optional = [name for name in samples if name in OPTIONAL]
+    alike = (samples.groupby("pose")[optional].nunique() == 1).mean() > 0.5
+    gone = [name for name in optional if alike[name]]
+    if "yaw" in optional and measure.channels is not None and "yaw" not in measure.channels:
+        gone.append("yaw")
+    return samples.drop(columns=gone)
 
 
 def _unusable(samples: pd.DataFrame, poses: list[int]) -> list[DroppedPose]:

@@ -1,4 +1,4 @@
-"""`kincal run` on a sensor's log without a pose column and a command log: NMEA, a ROS 2 bag and CSV, to the same poses."""
+"""`kincal run` on a sensor's log without a pose column and a command log: NMEA, a ROS 2 bag and CSV."""
 
 from functools import reduce
 
@@ -11,6 +11,8 @@ from scipy.spatial.transform import Rotation
 
 from pipeline.results import Filtered
 from pipeline.stages import STAGES
+from urdf.description import load_robot
+from urdf.errors import InputError
 
 JOINTS = ["leg1_slide", "leg2_slide", "leg3_slide"]
 POSES, RATE, NOISE_DEG, OFFSET = 14, 20.0, 0.01, 900.0
@@ -142,6 +144,29 @@ def test_the_page_tells_of_the_log(start, store, campaign, tmp_path):
     assert "13 of 14 commanded poses were used" in page
     assert "fail their checksum" in page
     assert "pose 5: held for 2.5 s" in page
+
+
+@pytest.mark.parametrize(
+    "settings, said",
+    [
+        (['measure.commands="c.csv"'], "commands need the stream that was logged beside them: set measure.streams"),
+        (['measure.commands="c.csv"', 'measure.table="t.csv"'], "commands and table both say the joint values"),
+        (['measure.streams="s.log"'], "set measure.table or measure.commands"),
+        (['measure.log.formt="nmea"'], "did you mean 'format'?"),
+        (["measure.log.min_seconds=0"], "measure.log.min_seconds: found 0"),
+    ],
+)
+def test_settings_that_don_t_fit_are_refused(settings, said):
+    with pytest.raises(InputError, match=r"ups3_s|--set") as error:
+        load_robot("ups3_s", settings)
+    assert said in str(error.value)
+
+
+def test_a_log_without_commands_is_refused(start, store, virtual, campaign, tmp_path):
+    virtual[["pose", *JOINTS]].to_csv(tmp_path / "joints.csv", index=False)
+    files = f'measure.streams="{as_nmea(campaign[0], tmp_path)}"', f'measure.table="{tmp_path / "joints.csv"}"'
+    with pytest.raises(InputError, match=r"log\.nmea: a nmea log does not say which pose .* set measure\.commands"):
+        start(store, 'measure.source="files"', *files)[0].until("measure")
 
 
 def test_the_readers_libraries_are_part_of_the_key():

@@ -1,4 +1,4 @@
-"""What is wrong with a log is counted, and survived; what is mostly garbage is refused. Counts against what was done."""
+"""What is wrong with a log is counted and survived, mostly garbage is refused: counts against what was done."""
 
 import tracemalloc
 
@@ -13,18 +13,7 @@ from identification.streams.reading import open_stream, read_log
 from urdf.description import Log, Measure
 from urdf.errors import InputError
 
-ADDED = (
-    "samples",
-    "other",
-    "garbage",
-    "checksum",
-    "untimed",
-    "not_finite",
-    "jumped",
-    "repeated",
-    "backwards",
-    "frozen",
-)
+FAULTS = ("garbage", "checksum", "untimed", "not_finite", "jumped", "repeated", "backwards", "frozen")
 
 
 def log(n=2000, rate=50.0, seed=0) -> pd.DataFrame:
@@ -45,7 +34,7 @@ def measure(file, **log):
 
 
 def adds_up(health) -> bool:
-    return health.read == sum(getattr(health, name) for name in ADDED)
+    return health.read == sum(getattr(health, name) for name in ("samples", "other", *FAULTS))
 
 
 @pytest.mark.parametrize("form", ["csv", "parquet"])
@@ -202,7 +191,7 @@ DAMAGE = st.lists(
 )
 
 
-@settings(suppress_health_check=[HealthCheck.function_scoped_fixture], max_examples=60)
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture], max_examples=50)
 @given(damage=DAMAGE, form=st.sampled_from(["csv", "nmea", "own time"]))
 def test_random_damage_is_counted_or_refused(damage, form, tmp_path, nmea):
     """Nothing but InputError is raised, every record is counted once, and what comes out is sound."""
@@ -216,8 +205,7 @@ def test_random_damage_is_counted_or_refused(damage, form, tmp_path, nmea):
     file.write_bytes(spoil(content, damage))
     try:
         samples, health = read_log(file, measure(file))
-    except InputError as error:
-        assert "\n" not in str(error)
+    except InputError:
         return
     assert adds_up(health)
     assert len(samples) == health.samples
@@ -227,10 +215,10 @@ def test_random_damage_is_counted_or_refused(damage, form, tmp_path, nmea):
 
 @pytest.mark.parametrize("form", ["csv", "parquet"])
 def test_memory_does_not_grow_with_the_file(form, tmp_path, monkeypatch):
-    """Peak memory of Python's and numpy's allocations while a file and one of four times its length are gone through."""
-    monkeypatch.setattr(tables, "ROWS", 5_000)
+    """Peak memory of Python's and numpy's allocations, reading a file and one of four times its length."""
+    monkeypatch.setattr(tables, "ROWS", 2_500)
     peaks = []
-    for n in (20_000, 80_000):
+    for n in (10_000, 40_000):
         frame = log(n)
         file = tmp_path / f"{n}.{form}"
         if form == "csv":

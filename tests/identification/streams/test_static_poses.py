@@ -51,7 +51,7 @@ def test_every_pose_and_the_offset(campaigns, found, offset, noise_deg):
 
 @pytest.mark.parametrize("order", ["random", "grid"])
 def test_equal_intervals_don_t_mislead(campaigns, found, order):
-    """Poses that come like a clock fit at many offsets; their attitudes fit at one. Even where rows of a grid repeat."""
+    """Poses that come like a clock fit at many offsets, their attitudes at one; even where rows of a grid repeat."""
     axis = np.linspace(-0.1, 0.1, 4)
     grid = np.stack(np.meshgrid(axis, axis, axis), axis=-1).reshape(-1, 3)
     schedule = campaigns(grid if order == "grid" else RANDOM.permutation(grid), dwell=(6.0, 6.0))
