@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -54,7 +55,8 @@ def align(first: pd.DataFrame, second: pd.DataFrame, widest: float = 2.0) -> Ali
     coarse = np.linspace(-widest, widest, 41)
     start = coarse[np.argmin([scatter(lag) for lag in coarse])]
     step = coarse[1] - coarse[0]
-    lag = float(minimize_scalar(scatter, bounds=(start - step, start + step), method="bounded").x)
+    found: Any = minimize_scalar(scatter, bounds=(start - step, start + step), method="bounded")
+    lag = float(found.x)
     left = {c: difference(c, lag) for c in channels}
     return Alignment(
         lag, {c: float(v.mean()) for c, v in left.items()}, {c: float(v.std()) for c, v in left.items()}, len(t)

@@ -47,10 +47,9 @@ def leniently(raw: pd.DataFrame, columns: dict[str, Column]) -> pd.DataFrame:
     """A log's rows: NaN for what is no number; t may be ISO 8601."""
     found = {}
     for name, column in columns.items():
-        values = pd.to_numeric(raw[column.source], errors="coerce").to_numpy(float)
-        if name == "t":
-            values = times(raw[column.source], values)
-        found[name] = values * UNITS[column.unit]
+        written = pd.Series(raw[column.source])
+        values = np.array(pd.to_numeric(written, errors="coerce"), dtype=float)
+        found[name] = (times(written, values) if name == "t" else values) * UNITS[column.unit]
     return pd.DataFrame(found)
 
 

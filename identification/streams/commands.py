@@ -46,9 +46,9 @@ def read_commands(file: Path, joints: Sequence[str], measure: Measure) -> Holds:
         if column.source not in raw.columns and name in raw.columns:
             column = Column.model_validate({"from": name})
         if column.source in raw.columns:
-            values = raw[column.source]
+            values = pd.Series(raw[column.source])
             if name == "t" and not pd.api.types.is_numeric_dtype(values):
-                seconds = times(values, pd.to_numeric(values, errors="coerce").to_numpy(float))
+                seconds = times(values, np.array(pd.to_numeric(values, errors="coerce"), dtype=float))
                 values = values.where(~np.isfinite(seconds), pd.Series(seconds, dtype=object, index=values.index))
             found[name] = numbers(values.tolist(), column, file)
         elif name != "pose":

@@ -132,7 +132,7 @@ class _Reader:
         if kind == "PASHR":
             if not hasattr(message, "trueHdgInd"):  # Ashtech's own $PASHR,POS and the like
                 return None
-            t = getattr(message, "utctime", None)
+            t: Any = getattr(message, "utctime", None)
             utc = t.hour * 3600 + t.minute * 60 + t.second + 1e-6 * t.microsecond if hasattr(t, "hour") else np.nan
             roll, pitch, heading = (_number(message, name) for name in ("roll", "pitch", "trueHdg"))
             return Attitude(kind, roll, pitch, heading, utc=utc)

@@ -69,13 +69,13 @@ class Stream:
         for raw in self._raw():
             yield self._unfrozen(timeline.feed(self._finite(raw)))
         if raw is not None:
-            yield self._unfrozen(timeline.feed(raw[:0], final=True))
+            yield self._unfrozen(timeline.feed(raw.iloc[:0], final=True))
 
     def _finite(self, chunk: pd.DataFrame) -> pd.DataFrame:
         values = chunk[list(REQUIRED)].to_numpy(float)
         good = np.isfinite(values).all(axis=1) & (np.abs(values[:, 0]) < _FARTHEST)
         self._tally.not_finite += int((~good).sum())
-        return chunk[good]
+        return chunk.iloc[good]
 
     def _unfrozen(self, chunk: pd.DataFrame) -> pd.DataFrame:
         """Without samples of a stuck or saturated roll or pitch; other channels lose the value alone."""
@@ -91,7 +91,7 @@ class Stream:
             elif either.any():
                 chunk = chunk.assign(**{str(name): chunk[name].mask(either)})
         tally.frozen += int(frozen.sum())
-        return chunk[~frozen]
+        return chunk.iloc[~frozen]
 
 
 def open_stream(file: Path, measure: Measure) -> Stream:
@@ -134,7 +134,7 @@ def together(chunks: list[pd.DataFrame]) -> pd.DataFrame:
 
 def complete(samples: pd.DataFrame) -> pd.DataFrame:
     """Without the optional channels that many samples lack, and without the samples that lack one of the others."""
-    lacking = [name for name in samples if name in OPTIONAL and samples[name].notna().mean() < _MOSTLY]
+    lacking = [name for name in samples if name in OPTIONAL and np.mean(samples[name].notna()) < _MOSTLY]
     return samples.drop(columns=lacking).dropna().reset_index(drop=True)
 
 

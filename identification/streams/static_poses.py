@@ -51,7 +51,7 @@ def static_poses(measure: Measure, joints: Sequence[str]) -> StaticPoses:
         reasons = "; ".join(f"pose {d.pose}: {d.reason}" for d in dropped[:3])
         raise InputError(f"{file}: none of {len(holds)} commanded poses is left: {reasons}")
     table = pd.DataFrame({"pose": holds.pose[rows]} | {n: holds.joints[rows, k] for k, n in enumerate(joints)})
-    kept = samples[~samples["pose"].isin(bad)].reset_index(drop=True)
+    kept = samples.loc[~np.isin(samples["pose"], sorted(bad))].reset_index(drop=True)
     left_out = tuple(sorted(dropped, key=lambda d: d.pose))
     return StaticPoses(table, kept, Campaign(stream.health, offset, len(holds), len(table), left_out))
 
@@ -75,8 +75,8 @@ def _telling(samples: pd.DataFrame, measure: Measure) -> pd.DataFrame:
     """Without optional channels that in most poses don't change: no instrument is behind them (a heading of 0), or its
     resolution hides its noise; and without a yaw that is not wanted (measure.channels)."""
     optional = [name for name in samples if name in OPTIONAL]
-    alike = (samples.groupby("pose")[optional].nunique() == 1).mean() > 0.5
-    gone = [name for name in optional if alike[name]]
+    values = samples.groupby("pose")[optional].nunique()
+    gone = [name for name in optional if np.mean(values[name] == 1) > 0.5]
     if "yaw" in optional and measure.channels is not None and "yaw" not in measure.channels:
         gone.append("yaw")
     return samples.drop(columns=gone)
@@ -84,12 +84,13 @@ def _telling(samples: pd.DataFrame, measure: Measure) -> pd.DataFrame:
 
 def _unusable(samples: pd.DataFrame, poses: list[int]) -> list[DroppedPose]:
     """Poses with too few samples, and those in which a channel is stuck."""
-    grouped = samples.groupby("pose")
-    count = grouped.size().reindex(poses, fill_value=0)
-    few = [DroppedPose(p, f"{n} good samples; allowed are at least {_LEAST}") for p, n in count.items() if n < _LEAST]
-    stuck = {}
-    for channel in (c for c in ANGLES if c in samples):
-        alike = grouped[channel].nunique() == 1
-        for pose in alike.index[alike & (grouped.size() >= _STUCK)]:
-            stuck[pose] = DroppedPose(pose, f"channel {channel!r} is stuck for all {count[pose]} samples")
-    return few + list(stuck.values())
+    pose, count = np.unique(samples["pose"], return_counts=True)
+    found = dict(zip(pose.tolist(), count.tolist(), strict=True))
+    dropped = {
+        p: f"{found.get(p, 0)} good samples; allowed are at least {_LEAST}" for p in poses if found.get(p, 0) < _LEAST
+    }
+    values = samples.groupby("pose")[[c for c in ANGLES if c in samples]].nunique()
+    for channel in values:
+        for p in pose[(values[channel].to_numpy() == 1) & (count >= _STUCK)].tolist():
+            dropped[p] = f"channel {channel!r} is stuck for all {found[p]} samples"
+    return [DroppedPose(p, reason) for p, reason in dropped.items()]

@@ -56,7 +56,7 @@ class Bins:
         rates = self.medians[:, 2:]
         if not rates.size:
             return np.zeros(len(self.start), dtype=bool)
-        return (np.abs(rates - np.nanmedian(rates, axis=0)) > _SIGMAS * self._sigma[2:]).any(axis=1)
+        return np.any(np.abs(rates - np.nanmedian(rates, axis=0)) > _SIGMAS * self._sigma[2:], axis=1)
 
     @property
     def _sigma(self) -> np.ndarray:
@@ -82,8 +82,8 @@ def binned(chunks: Iterable[pd.DataFrame]) -> Bins:
         if not whole.any():
             continue
         channels = [c for c in channels if c in held]
-        _add(held[whole], index[whole], channels, origin, width, (starts, medians, counts, noises))
-        held = held[~whole]
+        _add(held.iloc[whole], index[whole], channels, origin, width, (starts, medians, counts, noises))
+        held = held.iloc[~whole]
     if held is not None and width:
         index = np.floor((held["t"].to_numpy(float) - origin) / width)
         _add(held, index, [c for c in channels if c in held], origin, width, (starts, medians, counts, noises))
@@ -101,7 +101,7 @@ def _add(samples: pd.DataFrame, index: np.ndarray, channels: list[str], origin: 
     starts.append(origin + middle.index.to_numpy(float) * width)
     medians.append(middle.to_numpy(np.float32))
     counts.append(grouped.size().to_numpy(np.int32))
-    noises.append(_noise(samples[channels]))
+    noises.append(_noise(samples.loc[:, channels]))
 
 
 def _noise(samples: pd.DataFrame) -> np.ndarray:

@@ -87,7 +87,8 @@ def _parquet(file: Path, columns: list[str]) -> Iterator[pd.DataFrame]:
 
 def _whole_csv(file: Path, measure: Measure) -> Iterator[pd.DataFrame]:
     options: dict[str, Any] = {"sep": measure.separator, "decimal": measure.decimal, "skipinitialspace": True}
-    with pd.read_csv(file, chunksize=ROWS, **options) as chunks:
+    chunks: Any = pd.read_csv(file, chunksize=ROWS, **options)
+    with chunks:
         yield from chunks
 
 

@@ -37,20 +37,20 @@ class Timeline:
         t = chunk["t"].to_numpy(float)
         if not len(t) or (len(t) < CONFIRMED and not final):
             self.held = [chunk]
-            return chunk[:0]
+            return chunk.iloc[:0]
         steps = np.diff(t)
         if self.interval is None and (steps > 0).any():
             self.interval = float(np.median(steps[steps > 0]))
         cuts = np.flatnonzero((steps <= 0) | (steps > self._limit)) + 1
         bounds = np.concatenate([[0], cuts, [len(t)]]).astype(int)
         if not final and bounds[-1] - bounds[-2] < CONFIRMED:
-            self.held = [chunk[bounds[-2] :]]
+            self.held = [chunk.iloc[bounds[-2] :]]
             bounds = bounds[:-1]
         times, keep = np.empty(len(t)), np.zeros(len(t), dtype=bool)
         for begin, end in pairwise(bounds):
-            following = t[end] if end < len(t) else None
+            following = float(t[end]) if end < len(t) else None
             times[begin:end], keep[begin:end] = self._piece(t[begin:end], following)
-        return chunk[keep].assign(t=times[keep])
+        return chunk.iloc[keep].assign(t=times[keep])
 
     @property
     def _limit(self) -> float:
