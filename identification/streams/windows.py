@@ -12,6 +12,7 @@ from identification.streams.commands import Holds
 from identification.streams.stillness import Bins
 from urdf.description import Log
 
+_MOST = 0.9  # of the moves that are seen: one pose that is long restless says nothing of the others
 _DRIFT = 5.0  # standard errors of a stretch's drift
 
 
@@ -29,28 +30,25 @@ def still_windows(bins: Bins, holds: Holds, offset: float, log: Log) -> tuple[li
     """The stretch of each target, in order of time; and the targets that have none, with the reason.
 
     A stretch begins settle_seconds after the sensor came to rest, and ends where the next command came. A motion that
-    the sensor can't see (about gravity, without a gyro) is taken to last as long as the longest one that it sees.
+    the sensor can't see (about gravity, without a gyro) is given as long as nine in ten of those take that it sees.
     """
     moving = bins.moving()
     begin, end = holds.begin + offset, holds.end + offset
     runs = [_longest_run(bins, moving, b, e) for b, e in zip(begin, end, strict=True)]
     travels = [bins.start[r[0]] - b for r, b in zip(runs, begin, strict=True) if r and r[2]]
-    longest = max(travels, default=0.0)
-    windows, dropped, seen = [], [], set()
-    for row, (run, b, e) in enumerate(zip(runs, begin, end, strict=True)):
-        pose = int(holds.pose[row])
-        found = _window(bins, run, b, e, longest, log)
-        if pose in seen:
-            found = "its number was used before"
-        seen.add(pose)
+    usual = float(np.quantile(travels, _MOST)) if travels else 0.0
+    number, times = np.unique(holds.pose, return_counts=True)
+    repeated = set(number[times > 1].tolist())
+    windows, dropped = [], [DroppedPose(pose, "more than one target has its number") for pose in sorted(repeated)]
+    for row, (pose, run, b, e) in enumerate(zip(holds.pose.tolist(), runs, begin, end, strict=True)):
+        if pose in repeated:
+            continue
+        found = _window(bins, run, b, e, usual, log)
         if isinstance(found, str):
             dropped.append(DroppedPose(pose, found))
         else:
             windows.append(Window(row, pose, *found))
-    repeated = {d.pose for d in dropped if d.reason.startswith("its number")}
-    return [w for w in windows if w.pose not in repeated], [d for d in dropped if d.pose not in repeated] + [
-        DroppedPose(pose, "more than one target has its number") for pose in sorted(repeated)
-    ]
+    return windows, dropped
 
 
 def _longest_run(bins: Bins, moving: np.ndarray, begin: float, end: float) -> tuple[int, int, bool] | None:

@@ -6,7 +6,9 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from urdf.description import Log
+from identification.streams.commands import read_commands
+from identification.streams.static_poses import static_poses
+from urdf.description import Log, Measure
 from urdf.errors import InputError
 
 RANDOM = np.random.default_rng(7)
@@ -119,13 +121,23 @@ def test_set_points_many_times_a_second(campaigns, found, tmp_path):
     way = (way * way * (3 - 2 * way))[:, None]
     before = np.vstack([JOINTS[:1], JOINTS[:-1]])
     points = np.where(way == 1, JOINTS[k], before[k] + (JOINTS[k] - before[k]) * way)
-    from identification.streams.static_poses import static_poses
-    from urdf.description import Measure
-
     pd.DataFrame({"t": t, **dict(zip("abc", points.T, strict=True))}).to_csv(tmp_path / "dense.csv", index=False)
     dense = static_poses(Measure(streams=tmp_path / "log.csv", commands=tmp_path / "dense.csv"), ("a", "b", "c"))
     np.testing.assert_array_equal(dense.table, poses.table)
     assert dense.campaign.offset.seconds == pytest.approx(schedule.offset, abs=0.3)
+
+
+def test_numbers_of_the_command_log(campaigns, found, tmp_path):
+    """Poses are called as the commands call them; a number that comes twice names no pose."""
+    schedule = campaigns(JOINTS[:10])
+    found(schedule)
+    pose = np.array([7, 3, 12, 40, 3, 11, 10, 9, 8, 1])
+    schedule.commands.assign(pose=pose).to_csv(tmp_path / "commands.csv", index=False)
+    numbered = static_poses(Measure(streams=tmp_path / "log.csv", commands=tmp_path / "commands.csv"), ("a", "b", "c"))
+    kept = pose != 3
+    assert numbered.table["pose"].tolist() == pose[kept].tolist()
+    np.testing.assert_array_equal(numbered.table[["a", "b", "c"]], JOINTS[:10][kept])
+    assert [(d.pose, d.reason) for d in numbered.campaign.dropped] == [(3, "more than one target has its number")]
 
 
 def test_a_stated_offset_and_limits(campaigns, found):
@@ -162,9 +174,6 @@ def test_a_single_motion_can_t_tell_the_offset(campaigns, found):
     ],
 )
 def test_bad_command_logs_are_refused(spoil, said, campaigns, tmp_path):
-    from identification.streams.commands import read_commands
-    from urdf.description import Measure
-
     file = tmp_path / "commands.csv"
     spoil(campaigns(JOINTS[:5]).commands).to_csv(file, index=False)
     with pytest.raises(InputError) as error:
