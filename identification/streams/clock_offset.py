@@ -53,7 +53,7 @@ def estimate_offset(bins: Bins, holds: Holds, file: Path) -> ClockOffset:
 
 
 def _onsets(bins: Bins) -> np.ndarray:
-    """[s] when motion began: the middle between the last bin that was still and the first that was not."""
+    """[s] when motion began: the start of the first bin that moved after two that did not."""
     moving = bins.moving()
     begins = np.flatnonzero(moving[2:] & ~moving[1:-1] & ~moving[:-2]) + 2
     return bins.start[begins]
