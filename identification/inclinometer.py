@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 import pandas as pd
 
-from identification.measurements import UNITS, load, numbers
+from identification.measurements import UNITS
 from identification.static_poses import static_attitudes
-from urdf.description import Column, Filter, Measure, Sensor
+from urdf.description import Filter, Sensor
 from urdf.errors import InputError
 
 CHANNELS = ("roll", "pitch", "yaw")
@@ -41,27 +40,6 @@ class _Stretches:
         starts = np.cumsum(counts) - counts
         row = np.repeat(self.starts[which] - starts, counts) + np.arange(counts.sum())
         return _Stretches(self.t[row], self.samples[row], self.pose[which], starts, counts)
-
-
-def read_stream(file: Path, measure: Measure) -> pd.DataFrame:
-    """A stream file as t [s], pose, roll, pitch [rad] and, where it has one, yaw. Raises InputError as `read_table`."""
-    raw = load(file, measure)
-    columns = {}
-    for name in ("t", "pose", *CHANNELS):
-        column = measure.columns.get(name, Column.model_validate({"from": name}))
-        source = column.source if column.source in raw.columns else name
-        if source in raw.columns:
-            found = column if source == column.source else Column.model_validate({"from": name})
-            columns[name] = numbers(raw[source].tolist(), found, file)
-        elif name != "yaw":
-            found = ", ".join(map(str, raw.columns))
-            raise InputError(f"{file}: column {source!r} is missing from the stream; it has {found}")
-    stream = pd.DataFrame(columns)
-    backwards = np.flatnonzero(np.diff(stream["t"].to_numpy()) < 0)
-    if len(backwards):
-        row, t = backwards[0] + 1, stream["t"].to_numpy()
-        raise InputError(f"{file}: column 't', row {row + 1}: time runs backwards, from {t[row - 1]:g} to {t[row]:g} s")
-    return stream
 
 
 def filter_stream(stream: pd.DataFrame, poses: np.ndarray, sensor: Sensor, settings: Filter, what: str) -> pd.DataFrame:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -130,15 +131,28 @@ def read_table(file: Path, joints: Sequence[str], measure: Measure, measured: bo
 
 def load(file: Path, measure: Measure) -> pd.DataFrame:
     """A CSV (with the separator and decimal sign of [measure]) or Parquet file, as it is."""
-    try:
+    with readable(file):
         if file.suffix.lower() in (".parquet", ".pq"):
             return pd.read_parquet(file)
-        options: dict[str, Any] = {"sep": measure.separator, "skipinitialspace": True}
-        header = pd.read_csv(file, header=None, nrows=1, dtype=str, **options).iloc[0].tolist()
-        repeated = [name for name in header if header.count(name) > 1]
-        if repeated:
-            raise InputError(f"{file}: column {repeated[0]!r} stands there twice; allowed is once")
-        return pd.read_csv(file, decimal=measure.decimal, **options)
+        header(file, measure)
+        return pd.read_csv(file, decimal=measure.decimal, sep=measure.separator, skipinitialspace=True)
+
+
+def header(file: Path, measure: Measure) -> list[str]:
+    """The column names of a CSV file. Raises InputError where one stands there twice."""
+    options: dict[str, Any] = {"sep": measure.separator, "skipinitialspace": True}
+    names = pd.read_csv(file, header=None, nrows=1, dtype=str, **options).iloc[0].tolist()
+    repeated = [name for name in names if names.count(name) > 1]
+    if repeated:
+        raise InputError(f"{file}: column {repeated[0]!r} stands there twice; allowed is once")
+    return names
+
+
+@contextmanager
+def readable(file: Path) -> Iterator[None]:
+    """What parsers say of a file that is no table, as one InputError."""
+    try:
+        yield
     except OSError as error:
         raise InputError(f"{file}: can't be read: {error.strerror or error}") from None
     except pd.errors.EmptyDataError:
@@ -149,13 +163,14 @@ def load(file: Path, measure: Measure) -> pd.DataFrame:
         raise InputError(f"{file}: not a table that can be read: {' '.join(str(error).split())[:200]}") from None
 
 
-def numbers(values: Sequence[object], column: Column, file: Path) -> np.ndarray:
-    """Column values as finite numbers in SI units. Raises InputError that names the row."""
+def numbers(values: Sequence[object], column: Column, file: Path, first: int = 0) -> np.ndarray:
+    """Column values as finite numbers in SI units; `first`: rows before them. Raises InputError that names the row."""
     found = np.array(pd.to_numeric(pd.Series(values), errors="coerce"), dtype=float)
     bad = np.flatnonzero(~np.isfinite(found) | np.array([isinstance(value, bool) for value in values], dtype=bool))
     if len(bad):
         raise InputError(
-            f"{file}: column {column.source!r}, row {bad[0] + 1}: found {values[bad[0]]!r}; allowed are finite numbers"
+            f"{file}: column {column.source!r}, row {first + bad[0] + 1}: found {values[bad[0]]!r}; "
+            "allowed are finite numbers"
         )
     return found * UNITS[column.unit]
 

@@ -36,7 +36,9 @@ class Progress:
         if self._live is not None:
             self._live.stop()
             self._live = None
-        if event.state == "damaged":
+        if event.state == "noted":
+            err.print(Text(f"warning: {event.why}", style="yellow"), soft_wrap=True)
+        elif event.state == "damaged":
             err.print(
                 Text(f"warning: {event.why}; set aside, {event.stage} runs again", style="yellow"), soft_wrap=True
             )

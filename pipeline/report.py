@@ -11,6 +11,7 @@ from matplotlib import rc_context
 from matplotlib.figure import Figure
 
 from identification.identification import Identification
+from identification.streams.campaign import Campaign
 from pipeline.figures import BLUE, GREY, RED, STYLE, clean, inline, svg
 from pipeline.identification_figures import changes, singular_values
 from pipeline.pages import environment
@@ -30,6 +31,7 @@ from pipeline.tables import collinear_lines, comparison_tables, parameter_table,
 
 def page(
     model: Model,
+    campaign: Campaign | None,
     filtered: Filtered,
     identified: Identified,
     pretrained: Pretrained,
@@ -52,6 +54,7 @@ def page(
         .get_template("report.html")
         .render(
             model=model,
+            campaign=campaign,
             filtered=filtered,
             pretrained=pretrained,
             corrected=hybrids.fits[0],

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from identification.identification import Identification
+from identification.streams.campaign import Campaign
 from learning.correction import Correction
 from learning.network import Network
 from learning.units import Inherited
@@ -85,6 +86,11 @@ class Measured:
     table: Frame
     stream: Frame | None
     truth: Truth | None
+    campaign: Campaign | None = None  # where the stream is a log, and the poses were found in it
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        return () if self.campaign is None else self.campaign.warnings
 
 
 @dataclass(frozen=True)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import inspect
 import sys
 import time
@@ -74,7 +75,7 @@ class Event:
     """Something to show: a stage begins (`seconds` is None), is done, or was cached."""
 
     stage: str
-    state: str  # running, ran, cached, damaged
+    state: str  # running, ran, cached, damaged, noted (`why`: a warning about the data)
     why: str = ""
     seconds: float | None = None
 
@@ -157,6 +158,8 @@ class Run:
                     value = stage.function(**inputs, **{name: self._setting(name) for name in stage.settings})
                 except FloatingPointError as error:  # a loss that is not a number, a matrix that can't be factored
                     raise CalibrationError(f"{stage.name}: {error}; nothing was stored") from None
+                for note in getattr(value, "warnings", ()):
+                    self.observe(Event(stage.name, "noted", note))
                 seconds = time.perf_counter() - began
                 provenance = {
                     "robot": self.robot_id,
@@ -268,7 +271,11 @@ def _flat(value: Any, prefix: str = "") -> dict[str, Any]:
 
 
 def _file_digest(file: Path) -> str:
+    """Of a file's content, read piece by piece; of a folder (a ROS 2 bag), of its files' names and contents."""
     try:
-        return digest(file.read_bytes())
+        if file.is_dir():
+            return digest({part.name: _file_digest(part) for part in sorted(file.iterdir()) if part.is_file()})
+        with open(file, "rb") as stream:
+            return hashlib.file_digest(stream, "sha256").hexdigest()
     except OSError as error:
         raise InputError(f"{file}: can't be read: {error.strerror}") from None

@@ -118,20 +118,14 @@ def measure(
     seed: int,
 ) -> Measured:
     """The measurement table and streams: read from files, or measured by a virtual robot on itself."""
-    from identification.inclinometer import read_stream
-    from identification.measurements import check_readings, read_table, to_table
+    from identification.measurements import to_table
     from pipeline.virtual_robot import VirtualRobot, default_channels, draw, stream_of
     from pipeline.virtual_robot import measure as sense
 
     nominal = error_model(model, tolerance, actuator)
     chain = nominal.chain
     if not measure.virtual:
-        assert measure.table is not None
-        settings = measure if measure.streams is None else measure.of_columns(("pose", *chain.actuated_names))
-        table = read_table(measure.table, chain.actuated_names, settings, measured=measure.streams is None)
-        check_readings(table, chain, nominal.actuators, tolerance, measure.table)
-        stream = None if measure.streams is None else read_stream(measure.streams, measure)
-        return Measured((measure.streams or measure.table).name, table, stream, None)
+        return _from_files(chain, nominal, measure, tolerance)
     truth = draw(nominal, measure.errors, seed)
     readings = plan.table[list(chain.actuated_names)].to_numpy()
     robot = VirtualRobot.of(nominal, truth)
@@ -385,6 +379,7 @@ def evaluate(
 
 def report(
     model: Model,
+    measured: Measured,
     filtered: Filtered,
     identified: Identified,
     pretrained: Pretrained,
@@ -396,7 +391,27 @@ def report(
     """A page to sign: comparison, parameters, singular values, residuals, training."""
     from pipeline.report import page
 
-    return Report(Html(page(model, filtered, identified, pretrained, transferred, siblings, hybrids, compared)))
+    return Report(
+        Html(page(model, measured.campaign, filtered, identified, pretrained, transferred, siblings, hybrids, compared))
+    )
+
+
+def _from_files(chain: ClosedChain, nominal: ErrorModel, measure: Measure, tolerance: Tolerance) -> Measured:
+    """Static poses as a table; joint values and a stream that names poses; or a log and the commands of its time."""
+    from identification.measurements import check_readings, read_table
+    from identification.streams.reading import read_stream
+    from identification.streams.static_poses import static_poses
+
+    if measure.commands is not None:
+        found = static_poses(measure, chain.actuated_names)
+        check_readings(found.table, chain, nominal.actuators, tolerance, measure.commands)
+        return Measured(found.campaign.health.file, found.table, found.stream, None, found.campaign)
+    assert measure.table is not None
+    settings = measure if measure.streams is None else measure.of_columns(("pose", *chain.actuated_names))
+    table = read_table(measure.table, chain.actuated_names, settings, measured=measure.streams is None)
+    check_readings(table, chain, nominal.actuators, tolerance, measure.table)
+    stream = None if measure.streams is None else read_stream(measure.streams, measure)
+    return Measured((measure.streams or measure.table).name, table, stream, None)
 
 
 def error_model(model: Model, tolerance: Tolerance, actuator: dict[str, Actuator]) -> ErrorModel:
@@ -452,7 +467,7 @@ def _closed(errors: ErrorModel, u: np.ndarray, what: str) -> tuple[Closure, np.n
 STAGES = {
     model: ("numpy", "scipy", "pin"),
     plan: ("numpy", "scipy", "casadi", "pandas", "pyarrow"),
-    measure: ("numpy", "scipy", "pandas", "pyarrow"),
+    measure: ("numpy", "scipy", "pandas", "pyarrow", "pynmeagps", "rosbags"),
     filter: ("numpy", "filterpy", "pandas", "pyarrow"),
     identify: ("numpy", "scipy", "casadi"),
     prior: ("numpy", "scipy"),

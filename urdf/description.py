@@ -176,10 +176,24 @@ class Stream(_Table):
     dropouts: Annotated[float, Field(ge=0, lt=1)] = 0.02  # share of the samples that never come
 
 
+class Log(_Table):
+    """How a sensor's log is read, and how its still stretches become poses where a command log says what was asked."""
+
+    format: Literal["csv", "parquet", "nmea", "bag"] | None = None  # default: told by the file
+    topic: str | None = None  # of a bag; of NMEA the sentence: PSXN, PASHR, PRDID or XDR. Default: the only fitting one
+    rate_hz: Positive | None = None  # of an NMEA log without any time
+    offset_seconds: float | None = None  # the log's clock minus the command log's; default: estimated
+    settle_seconds: NotNegative = 1.0  # cut from the start of a still stretch
+    min_seconds: Positive = 2.0  # what must be left of it
+    max_seconds: Positive = 20.0  # what is used of it
+
+
 class Measure(_Table):
     source: Literal["virtual", "files"] | None = None  # default: files where a table is named
     table: File | None = None  # static poses; with `streams`, the joint values of each pose alone
     streams: File | None = None  # raw sensor streams, for the filter
+    commands: File | None = None  # t and joint values as commanded, in place of `table`: poses are found in `streams`
+    log: Log = Log()  # how `streams` is read
     columns: dict[str, Column] = {}
     separator: Annotated[str, Field(min_length=1, max_length=1)] = ","
     decimal: Literal[".", ","] = "."
@@ -196,10 +210,17 @@ class Measure(_Table):
 
     @model_validator(mode="after")
     def _consistent(self) -> Measure:
-        if self.source == "files" and self.table is None:
+        if self.commands is not None and self.table is not None:
+            raise ValueError("commands and table both say the joint values; give either")
+        if self.commands is not None and self.streams is None:
+            raise ValueError("commands need the stream that was logged beside them: set measure.streams")
+        if self.source == "files" and self.table is None and self.commands is None:
             raise ValueError('source = "files" needs a table: set measure.table to a CSV or Parquet file')
-        if self.streams is not None and self.table is None:
-            raise ValueError("streams need a table with each pose's joint values: set measure.table")
+        if self.streams is not None and self.table is None and self.commands is None:
+            raise ValueError(
+                "streams need a table with each pose's joint values, or a command log: "
+                "set measure.table or measure.commands"
+            )
         if self.channels is not None and not self.channels:
             raise ValueError("channels = []: allowed are one or more of orientation, position, tilt, yaw")
         if self.channels and "orientation" in self.channels and {"tilt", "yaw"} & set(self.channels):
@@ -212,7 +233,7 @@ class Measure(_Table):
 
     @property
     def virtual(self) -> bool:
-        return self.source == "virtual" or (self.source is None and self.table is None)
+        return self.source == "virtual" or (self.source is None and self.table is None and self.commands is None)
 
 
 class Filter(_Table):
@@ -361,7 +382,7 @@ class Robot:
 
 
 # Fields that hold a path: relative to robot.toml there, to the current folder in --set.
-PATHS = (("urdf",), ("measure", "table"), ("measure", "streams"))
+PATHS = (("urdf",), ("measure", "table"), ("measure", "streams"), ("measure", "commands"))
 
 
 def load_robot(robot: str, overrides: Sequence[str] = ()) -> Robot:

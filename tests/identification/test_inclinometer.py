@@ -5,7 +5,8 @@ import pandas as pd
 import pytest
 from scipy.spatial.transform import Rotation
 
-from identification.inclinometer import filter_stream, read_stream
+from identification.inclinometer import filter_stream
+from identification.streams.reading import read_stream
 from pipeline.virtual_robot import stream_of
 from urdf.description import Filter, Measure, Sensor, Stream
 from urdf.errors import InputError

@@ -1,0 +1,132 @@
+"""ROS 1 bags, ROS 2 bags (sqlite3, mcap) and MCAP files, by rosbags: sensor_msgs/Imu, geometry_msgs/Vector3Stamped.
+
+Axes after REP 103: x forward, y to port, z up, as kincal's. An Imu without an orientation (its covariance begins with
+-1) is an inclinometer by its accelerometer. A Vector3Stamped holds roll, pitch [rad] in x, y, unless a column map says
+otherwise.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from identification.measurements import UNITS
+from identification.streams.health import Tally
+from urdf.description import Column, Measure
+from urdf.errors import InputError
+
+IMU, VECTOR = "sensor_msgs/msg/Imu", "geometry_msgs/msg/Vector3Stamped"
+_ROWS = 5_000  # messages a chunk
+
+
+def logged(file: Path, measure: Measure, tally: Tally) -> Iterator[pd.DataFrame]:
+    """Chunks of t, roll, pitch, yaw and of an Imu gyro_x..z, acc_x..z; t is the header's, else the recorder's.
+
+    Raises InputError for a bag that can't be opened, and where no topic or more than one fits.
+    """
+    from rosbags.highlevel import AnyReader
+    from rosbags.typesys import Stores, get_typestore
+
+    # a damaged bag makes its reader fail in any way: struct, key, yaml, sqlite and memory errors were all seen
+    try:
+        reader = AnyReader([file], default_typestore=get_typestore(Stores.ROS2_HUMBLE))
+        reader.open()
+    except Exception as error:
+        raise InputError(f"{file}: not a bag that can be read: {_first_line(error)}") from None
+    try:
+        kind, connections = _topic(file, reader.connections, measure.log.topic)
+        row, chunk = (_imu_row, _imu_chunk) if kind == IMU else (_vector_row, _vector_chunk(file, measure))
+        rows: list[tuple[float, ...]] = []
+        for rawdata, recorded in _messages(reader, connections, tally):
+            try:
+                rows.append(row(reader.deserialize(rawdata, kind), recorded))
+            except Exception:
+                tally.garbage += 1
+            if len(rows) >= _ROWS:
+                yield chunk(np.array(rows))
+                rows = []
+        if rows:
+            yield chunk(np.array(rows))
+    finally:
+        reader.close()
+
+
+def _messages(reader: Any, connections: list[Any], tally: Tally) -> Iterator[tuple[bytes, float]]:
+    """Raw messages and when they were recorded [s]; where the file breaks off, one record more that is garbage."""
+    messages = reader.messages(connections=connections)
+    while True:
+        try:
+            _, nanoseconds, rawdata = next(messages)
+        except StopIteration:
+            return
+        except Exception:
+            tally.read, tally.garbage = tally.read + 1, tally.garbage + 1
+            return
+        tally.read += 1
+        yield rawdata, nanoseconds * 1e-9
+
+
+def _topic(file: Path, connections: list[Any], wanted: str | None) -> tuple[str, list[Any]]:
+    """The type and the connections of the topic that is read."""
+    fitting = [c for c in connections if c.msgtype in (IMU, VECTOR)]
+    topics = sorted({c.topic for c in fitting})
+    has = ", ".join(sorted({f"{c.topic} ({c.msgtype})" for c in connections})[:10]) or "none"
+    if wanted is None and len(topics) > 1:
+        raise InputError(f"{file}: topics {', '.join(topics)} all fit; set measure.log.topic to one of them")
+    if not topics or (wanted is not None and wanted not in topics):
+        which = f"topic {wanted!r} is" if wanted else "there is"
+        raise InputError(f"{file}: {which} none of {IMU} or {VECTOR}; it has {has}")
+    chosen = [c for c in fitting if c.topic == (wanted or topics[0])]
+    return chosen[0].msgtype, [c for c in chosen if c.msgtype == chosen[0].msgtype]
+
+
+def _time(message: Any, recorded: float) -> float:
+    stamp = message.header.stamp
+    seconds = stamp.sec + 1e-9 * stamp.nanosec
+    return seconds if seconds else recorded
+
+
+def _imu_row(message: Any, recorded: float) -> tuple[float, ...]:
+    q, w, a = message.orientation, message.angular_velocity, message.linear_acceleration
+    known = message.orientation_covariance[0] != -1 and (q.x or q.y or q.z or q.w)
+    orientation = (q.x, q.y, q.z, q.w) if known else (np.nan,) * 4
+    return (_time(message, recorded), *orientation, w.x, w.y, w.z, a.x, a.y, a.z)
+
+
+def _vector_row(message: Any, recorded: float) -> tuple[float, ...]:
+    return (_time(message, recorded), message.vector.x, message.vector.y, message.vector.z)
+
+
+def _imu_chunk(rows: np.ndarray) -> pd.DataFrame:
+    with np.errstate(invalid="ignore", over="ignore"):  # a message's numbers may be any
+        x, y, z, w = rows[:, 1:5].T / np.linalg.norm(rows[:, 1:5], axis=1)
+        ax, ay, az = rows[:, 8:11].T
+        unknown = np.isnan(w)
+        roll = np.where(unknown, np.arctan2(ay, az), np.arctan2(2 * (w * x + y * z), 1 - 2 * (x * x + y * y)))
+        pitch = np.where(unknown, np.arctan2(-ax, np.hypot(ay, az)), np.arcsin(np.clip(2 * (w * y - z * x), -1, 1)))
+        yaw = np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
+    found = {"t": rows[:, 0], "roll": roll, "pitch": pitch, "yaw": yaw}
+    names = (f"{sensor}_{axis}" for sensor in ("gyro", "acc") for axis in "xyz")
+    return pd.DataFrame(found | dict(zip(names, rows[:, 5:11].T, strict=True)))
+
+
+def _vector_chunk(file: Path, measure: Measure) -> Callable[[np.ndarray], pd.DataFrame]:
+    """roll, pitch (and yaw where measure.columns names it) from x, y, z of the vector, in the map's units."""
+    source = {"x": 1, "y": 2, "z": 3}
+    chosen = {"roll": Column.model_validate({"from": "x"}), "pitch": Column.model_validate({"from": "y"})}
+    chosen |= {name: column for name, column in measure.columns.items() if name in ("roll", "pitch", "yaw")}
+    for name, column in chosen.items():
+        if column.source.removeprefix("vector.") not in source:
+            raise InputError(
+                f"{file}: measure.columns.{name}: found {column.source!r}; of a Vector3Stamped allowed are x, y, z"
+            )
+    places = {name: (source[c.source.removeprefix("vector.")], UNITS[c.unit]) for name, c in chosen.items()}
+    return lambda rows: pd.DataFrame({"t": rows[:, 0]} | {n: rows[:, k] * unit for n, (k, unit) in places.items()})
+
+
+def _first_line(error: Exception) -> str:
+    return f"{type(error).__name__}: {' '.join(str(error).split())[:200]}"

@@ -1,0 +1,84 @@
+"""Foreign columns of a stream -> t [s], pose, angles [rad], rates [rad/s], accelerations [m/s2], heave [m]."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from datetime import UTC, datetime
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+
+from identification.measurements import UNITS, numbers
+from urdf.description import Column, Measure
+from urdf.errors import InputError
+
+REQUIRED = ("t", "roll", "pitch")
+OPTIONAL = ("yaw", *(f"{sensor}_{axis}" for sensor in ("gyro", "acc") for axis in "xyz"), "heave")
+ANGLES = ("roll", "pitch", "yaw")
+
+
+def mapped(found: Sequence[str], measure: Measure, file: Path, prepared: bool) -> dict[str, Column]:
+    """{kincal's name: the file's column and unit} of a stream file with columns `found`.
+
+    prepared: a `pose` column must say which pose each sample is of. Raises InputError for a missing column.
+    """
+    needed = (*REQUIRED, "pose") if prepared else REQUIRED
+    columns = {}
+    for name in ("t", "pose", "roll", "pitch", *OPTIONAL) if prepared else (*REQUIRED, *OPTIONAL):
+        column = measure.columns.get(name, Column.model_validate({"from": name}))
+        if column.source not in found and name in found:  # a canonical stream needs no map
+            column = Column.model_validate({"from": name})
+        if column.source in found:
+            columns[name] = column
+        elif name in needed:
+            hint = "; a command log (measure.commands) does without" if name == "pose" else ""
+            has = ", ".join(map(str, found))
+            raise InputError(f"{file}: column {column.source!r} is missing from the stream; it has {has}{hint}")
+    return columns
+
+
+def strictly(raw: pd.DataFrame, columns: dict[str, Column], file: Path, first: int) -> pd.DataFrame:
+    """A prepared stream's rows, `first` rows before them: InputError for what is no number."""
+    return pd.DataFrame({k: numbers(raw[c.source].tolist(), c, file, first) for k, c in columns.items()})
+
+
+def leniently(raw: pd.DataFrame, columns: dict[str, Column]) -> pd.DataFrame:
+    """A log's rows: NaN for what is no number; t may be ISO 8601."""
+    found = {}
+    for name, column in columns.items():
+        written = pd.Series(raw[column.source])
+        values = np.array(pd.to_numeric(written, errors="coerce"), dtype=float)
+        found[name] = (times(written, values) if name == "t" else values) * UNITS[column.unit]
+    return pd.DataFrame(found)
+
+
+def times(written: pd.Series, values: np.ndarray) -> np.ndarray:
+    """(n,) seconds: `values`, or seconds since 1970 where the column is text in ISO 8601 (UTC unless it says else)."""
+    if pd.api.types.is_numeric_dtype(written):
+        return values
+    stamps = pd.to_datetime(written.astype(str), utc=True, errors="coerce", format="ISO8601")
+    seconds = (stamps - pd.Timestamp(0, tz="UTC")).dt.total_seconds().to_numpy(float)
+    return np.where(np.isfinite(values), values, seconds)
+
+
+def clock(text: str) -> float:
+    """[s] a logger's time stamp: ISO 8601 (UTC unless it says else), or seconds, ms, us or ns since 1970; else NaN."""
+    try:
+        stamp = datetime.fromisoformat(text)
+        return (stamp if stamp.tzinfo else stamp.replace(tzinfo=UTC)).timestamp()
+    except (ValueError, OverflowError):
+        pass
+    try:
+        value = float(text)
+    except ValueError:
+        return np.nan
+    for size in (1e17, 1e14, 1e11):
+        if abs(value) >= size:
+            return value / (size / 1e8)
+    return value
+
+
+def wrapped(angle: np.ndarray) -> np.ndarray:
+    """[rad] within (-pi, pi]."""
+    return np.pi - (np.pi - angle) % (2 * np.pi)

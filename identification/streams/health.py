@@ -1,0 +1,100 @@
+"""What was wrong with a stream: every record that was read is a good sample, holds none, or is counted as one fault."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from urdf.errors import InputError
+
+_FAULTS = {
+    "garbage": "are no readable record",
+    "checksum": "fail their checksum",
+    "untimed": "come before any time",
+    "not_finite": "have no number for t, roll or pitch",
+    "jumped": "have a time far ahead that the next ones deny",
+    "repeated": "repeat a time",
+    "backwards": "run back in time",
+    "frozen": "have a stuck or saturated roll or pitch",
+}
+
+
+@dataclass(frozen=True)
+class StreamHealth:
+    """Counts of a whole file: read = samples + other + garbage + .. + frozen."""
+
+    file: str
+    format: str
+    read: int  # lines, rows or messages
+    samples: int  # good ones
+    other: int  # well-formed records that hold no attitude
+    garbage: int
+    checksum: int
+    untimed: int
+    not_finite: int
+    jumped: int
+    repeated: int
+    backwards: int
+    frozen: int
+    stuck: dict[str, int]  # samples a channel: it repeats one value for longer than its resolution explains
+    saturated: dict[str, int]  # the same at the channel's largest or smallest value
+    constant: tuple[str, ...]  # channels that never change
+    gaps: int  # longer than five sample intervals
+    longest_gap: float  # [s]
+    clock_steps: int  # the clock was set back; later times are shifted to run on
+    shift: float  # [s] by how much in all
+
+    @property
+    def bad(self) -> int:
+        return self.read - self.samples - self.other
+
+    def lines(self) -> tuple[str, ...]:
+        """One line each of what is wrong; empty for a clean stream."""
+        said = [f"{n} of {self.read} records {text}" for name, text in _FAULTS.items() if (n := getattr(self, name))]
+        for text, counts in (("stuck", self.stuck), ("saturated", self.saturated)):
+            said += [f"channel {channel!r} is {text} for {n} samples" for channel, n in counts.items()]
+        said += [f"channel {channel!r} never changes" for channel in self.constant]
+        if self.gaps:
+            said.append(f"{self.gaps} gaps, the longest {self.longest_gap:.3g} s")
+        if self.clock_steps:
+            said.append(
+                f"the clock was set back {self.clock_steps} times; later times were shifted by {self.shift:.6g} s"
+            )
+        return tuple(said)
+
+    def require(self, file: Path) -> StreamHealth:
+        """Itself, unless the file is mostly garbage (more than half of its records) or has no sample: InputError."""
+        if self.samples and 2 * self.bad <= self.read:
+            return self
+        counts = "; ".join(self.lines()) or f"{self.other} of {self.read} records hold no attitude"
+        raise InputError(
+            f"{file}: {self.samples} of {self.read} records are good samples of a {self.format} stream ({counts}); "
+            "allowed are at most as many bad records as good ones"
+        )
+
+
+@dataclass
+class Tally:
+    """The counts while a file is being read."""
+
+    read: int = 0
+    samples: int = 0
+    other: int = 0
+    garbage: int = 0
+    checksum: int = 0
+    untimed: int = 0
+    not_finite: int = 0
+    jumped: int = 0
+    repeated: int = 0
+    backwards: int = 0
+    frozen: int = 0
+    stuck: dict[str, int] = field(default_factory=dict)
+    saturated: dict[str, int] = field(default_factory=dict)
+    constant: tuple[str, ...] = ()
+    gaps: int = 0
+    longest_gap: float = 0.0
+    clock_steps: int = 0
+    shift: float = 0.0
+
+    def health(self, file: str, format: str) -> StreamHealth:
+        return StreamHealth(file, format, **vars(self))

@@ -1,0 +1,161 @@
+"""A sensor's log, whatever its format, as chunks of good samples; memory does not grow with the file."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+
+from identification.streams import bags, nmea, tables
+from identification.streams.columns import OPTIONAL, REQUIRED
+from identification.streams.health import StreamHealth, Tally
+from identification.streams.repeats import Repeats
+from identification.streams.timeline import Timeline
+from urdf.description import Measure
+from urdf.errors import InputError
+
+_MOSTLY = 0.9  # of the samples: an optional channel that fewer have is left out
+_FARTHEST = 1e12  # [s] beyond it a time is no time
+
+
+@dataclass
+class Stream:
+    """Chunks of t [s], roll, pitch [rad] and what else the file has (see OPTIONAL; NaN where a sample lacks it).
+
+    After the last chunk `health` says what was wrong; InputError then for a file that is mostly garbage. A file with a
+    pose column is one that was prepared: it is read as it is, `pose` with it, and any bad value is an InputError.
+    """
+
+    file: Path
+    measure: Measure
+    form: str
+    prepared: bool
+    _tally: Tally = field(default_factory=Tally)
+    _repeats: dict[str, Repeats] = field(default_factory=dict)
+    _health: StreamHealth | None = None
+
+    def __iter__(self) -> Iterator[pd.DataFrame]:
+        self._tally, self._repeats, self._health = Tally(), {}, None
+        for chunk in self._prepared() if self.prepared else self._cleaned():
+            self._tally.samples += len(chunk)
+            yield chunk
+        self._tally.constant = tuple(name for name, channel in self._repeats.items() if channel.constant)
+        health = self._tally.health(self.file.name, self.form)
+        self._health = health if self.prepared else health.require(self.file)
+
+    @property
+    def health(self) -> StreamHealth:
+        assert self._health is not None, "the stream was not read to its end"
+        return self._health
+
+    def _prepared(self) -> Iterator[pd.DataFrame]:
+        for chunk in tables.prepared(self.file, self.measure, self.form):
+            self._tally.read += len(chunk)
+            yield chunk
+
+    def _raw(self) -> Iterator[pd.DataFrame]:
+        if self.form == "nmea":
+            return nmea.logged(self.file, self.measure.log, self._tally)
+        if self.form == "bag":
+            return bags.logged(self.file, self.measure, self._tally)
+        return tables.logged(self.file, self.measure, self.form, self._tally)
+
+    def _cleaned(self) -> Iterator[pd.DataFrame]:
+        timeline = Timeline(self._tally)
+        raw = None
+        for raw in self._raw():
+            yield self._unfrozen(timeline.feed(self._finite(raw)))
+        if raw is not None:
+            yield self._unfrozen(timeline.feed(raw.iloc[:0], final=True))
+
+    def _finite(self, chunk: pd.DataFrame) -> pd.DataFrame:
+        values = chunk[list(REQUIRED)].to_numpy(float)
+        good = np.isfinite(values).all(axis=1) & (np.abs(values[:, 0]) < _FARTHEST)
+        self._tally.not_finite += int((~good).sum())
+        return chunk.iloc[good]
+
+    def _unfrozen(self, chunk: pd.DataFrame) -> pd.DataFrame:
+        """Without samples of a stuck or saturated roll or pitch; other channels lose the value alone."""
+        frozen, tally = np.zeros(len(chunk), dtype=bool), self._tally
+        for name in [c for c in chunk if c != "t"]:
+            marked = self._repeats.setdefault(str(name), Repeats()).mark(chunk[name].to_numpy(float))
+            for counts, bad in zip((tally.stuck, tally.saturated), marked, strict=True):
+                if bad.any():
+                    counts[str(name)] = counts.get(str(name), 0) + int(bad.sum())
+            either = marked[0] | marked[1]
+            if name in REQUIRED:
+                frozen |= either
+            elif either.any():
+                chunk = chunk.assign(**{str(name): chunk[name].mask(either)})
+        tally.frozen += int(frozen.sum())
+        return chunk.iloc[~frozen]
+
+
+def open_stream(file: Path, measure: Measure) -> Stream:
+    """A log's chunks, its format told by measure.log.format, its content or its extension.
+
+    Raises InputError for a file that can't be read or is of no known format; reading the chunks may raise it, too.
+    """
+    form = measure.log.format or _format(file)
+    table = form in ("csv", "parquet")
+    # with a command log, time says which pose a sample is of
+    prepared = table and measure.commands is None and tables.has_pose(file, measure, form)
+    return Stream(file, measure, form, prepared)
+
+
+def read_log(file: Path, measure: Measure) -> tuple[pd.DataFrame, StreamHealth]:
+    """A whole stream: the samples of all chunks together, and what was wrong with the file.
+
+    A log's optional channel is kept where nine samples in ten have it, and then those without it are left out.
+    """
+    stream = open_stream(file, measure)
+    whole = together(list(stream))
+    return whole if stream.prepared else complete(whole), stream.health
+
+
+def read_stream(file: Path, measure: Measure) -> pd.DataFrame:
+    """A stream that says of each sample which pose it is of. Raises InputError for any other, and as `read_table`."""
+    stream = open_stream(file, measure)
+    if not stream.prepared:
+        if stream.form in ("csv", "parquet"):
+            list(tables.prepared(file, measure, stream.form))  # says what is missing
+        raise InputError(
+            f"{file}: a {stream.form} log does not say which pose a sample is of; set measure.commands to a command log"
+        )
+    return together(list(stream))
+
+
+def together(chunks: list[pd.DataFrame]) -> pd.DataFrame:
+    return pd.concat(chunks, ignore_index=True) if chunks else pd.DataFrame({name: np.zeros(0) for name in REQUIRED})
+
+
+def complete(samples: pd.DataFrame) -> pd.DataFrame:
+    """Without the optional channels that many samples lack, and without the samples that lack one of the others."""
+    lacking = [name for name in samples if name in OPTIONAL and np.mean(samples[name].notna()) < _MOSTLY]
+    return samples.drop(columns=lacking).dropna().reset_index(drop=True)
+
+
+def _format(file: Path) -> str:
+    """By content, else by extension."""
+    if file.is_dir():
+        return "bag"
+    try:
+        with open(file, "rb") as stream:
+            head = stream.read(8192)
+    except OSError as error:
+        raise InputError(f"{file}: can't be read: {error.strerror or error}") from None
+    magic = {b"PAR1": "parquet", b"#ROSBAG V2.0": "bag", b"\x89MCAP0\r\n": "bag", b"SQLite format 3\0": "bag"}
+    for start, form in magic.items():
+        if head.startswith(start):
+            return form
+    if nmea.looks_like(head):
+        return "nmea"
+    suffix = file.suffix.lower()
+    known = {".parquet": "parquet", ".pq": "parquet", ".bag": "bag", ".mcap": "bag", ".db3": "bag", ".nmea": "nmea"}
+    known |= dict.fromkeys((".csv", ".txt", ".tsv"), "csv")
+    if suffix not in known and b"\0" in head:
+        raise InputError(f"{file}: no known format: allowed are CSV, Parquet, NMEA 0183, ROS bags and MCAP")
+    return known.get(suffix, "csv")

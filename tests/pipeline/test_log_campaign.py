@@ -1,0 +1,174 @@
+"""`kincal run` on a sensor's log without a pose column and a command log: NMEA, a ROS 2 bag and CSV."""
+
+from functools import reduce
+
+import numpy as np
+import pandas as pd
+import pytest
+from rosbags.rosbag2 import Writer
+from rosbags.typesys import Stores, get_typestore
+from scipy.spatial.transform import Rotation
+
+from pipeline.results import Filtered
+from pipeline.stages import STAGES
+from urdf.description import load_robot
+from urdf.errors import InputError
+
+JOINTS = ["leg1_slide", "leg2_slide", "leg3_slide"]
+POSES, RATE, NOISE_DEG, OFFSET = 14, 20.0, 0.01, 900.0
+VECTOR = "geometry_msgs/msg/Vector3Stamped"
+
+
+@pytest.fixture(scope="session")
+def store(tmp_path_factory):
+    return tmp_path_factory.mktemp("campaign") / "store"
+
+
+@pytest.fixture(scope="session")
+def virtual(start, store):
+    """A virtual robot's table, without noise: roll, pitch as the sensor would read them."""
+    tracker = 'measure.channels=["orientation"]', "sensor.orientation_deg=1e-9"
+    table = start(store, f"plan.poses={POSES}", 'plan.layout="random"', *tracker)[0].until("measure")[0].table
+    angles = Rotation.from_quat(table[["qx", "qy", "qz", "qw"]]).as_euler("ZYX")
+    return table.assign(roll=angles[:, 2], pitch=angles[:, 1])
+
+
+@pytest.fixture(scope="session")
+def campaign(virtual) -> tuple[pd.DataFrame, pd.DataFrame]:
+    """The log (t, roll, pitch) of a sensor on the robot as it went through its poses, and the commands' log.
+
+    Pose 5 is left after a second.
+    """
+    random = np.random.default_rng(3)
+    held = random.uniform(5.0, 7.0, POSES)
+    held[5] = 1.0
+    travel = 1.5
+    commanded = np.concatenate([[0.0], np.cumsum(held + travel)[:-1]])
+    t = np.arange(-3.0, commanded[-1] + travel + held[-1], 1 / RATE)
+    k = np.maximum(np.searchsorted(commanded, t, side="right") - 1, 0)
+    way = np.clip((t - commanded[k]) / travel, 0, 1)[:, None]
+    angles = virtual[["roll", "pitch"]].to_numpy()
+    before = angles[np.maximum(k - 1, 0)]
+    read = before + (angles[k] - before) * way**2 * (3 - 2 * way)
+    read = read + np.deg2rad(NOISE_DEG) * random.normal(size=read.shape)
+    log = pd.DataFrame({"t": t + OFFSET, "roll": read[:, 0], "pitch": read[:, 1]})
+    return log, pd.DataFrame({"t": commanded, **{name: virtual[name] for name in JOINTS}})
+
+
+def as_csv(log, folder):
+    log.to_csv(folder / "log.csv", index=False)
+    return folder / "log.csv"
+
+
+def as_nmea(log, folder):
+    """PRDID: pitch positive bow up, then roll; two sentences of a hundred spoiled on the way."""
+    lines = []
+    for k, (t, roll, pitch) in enumerate(np.column_stack([log["t"], np.rad2deg(log[["roll", "pitch"]])])):
+        body = f"PRDID,{-pitch:.5f},{roll:.5f},0.0"
+        check = reduce(lambda a, b: a ^ b, body.encode()) ^ (k % 50 == 7)
+        lines.append(f"{t:.3f} ${body}*{check:02X}")
+    (folder / "log.nmea").write_text("\n".join(lines))
+    return folder / "log.nmea"
+
+
+def as_bag(log, folder):
+    store = get_typestore(Stores.ROS2_HUMBLE)
+    types = store.types
+    with Writer(folder / "bag", version=9) as writer:
+        connection = writer.add_connection("/tilt", VECTOR, typestore=store)
+        for t, roll, pitch in log.to_numpy():
+            stamp = types["builtin_interfaces/msg/Time"](sec=int(t), nanosec=round((t % 1) * 1e9))
+            header = types["std_msgs/msg/Header"](stamp=stamp, frame_id="")
+            message = types[VECTOR](header=header, vector=types["geometry_msgs/msg/Vector3"](x=roll, y=pitch, z=0.0))
+            writer.write(connection, round(t * 1e9), bytes(store.serialize_cdr(message, VECTOR)))
+    return folder / "bag"
+
+
+@pytest.mark.parametrize("write", [as_csv, as_nmea, as_bag])
+def test_poses_from_a_log(write, start, store, virtual, campaign, tmp_path):
+    """Against the true attitudes: every pose but the short one, as true as its noise allows; the faults are told."""
+    log, commands = campaign
+    commands.to_csv(tmp_path / "commands.csv", index=False)
+    files = f'measure.streams="{write(log, tmp_path)}"', f'measure.commands="{tmp_path / "commands.csv"}"'
+    run, events = start(store, 'measure.source="files"', *files)
+    measured, filtered = run.until("measure", "filter")
+    assert isinstance(filtered, Filtered)
+    table = filtered.table.set_index("pose")
+    assert table.index.tolist() == [k for k in range(POSES) if k != 5]
+    np.testing.assert_array_equal(table[JOINTS], virtual.loc[table.index, JOINTS])
+    error = np.rad2deg(table[["roll", "pitch"]].to_numpy() - virtual.loc[table.index, ["roll", "pitch"]].to_numpy())
+    assert np.abs(error).max() < 4 * NOISE_DEG / np.sqrt(2 * RATE)
+    assert measured.campaign.offset.seconds == pytest.approx(OFFSET, abs=0.3)
+    assert [d.pose for d in measured.campaign.dropped] == [5]
+    said = [event.why for event in events if event.state == "noted"]
+    assert any(line.startswith("pose 5 was left out: held for 2.5 s") for line in said)
+    if write is as_nmea:
+        spoiled = len(range(7, len(log), 50))
+        assert f"log.nmea: {spoiled} of {len(log)} records fail their checksum" in said
+        assert measured.campaign.health.checksum == spoiled
+
+
+def test_what_the_files_hold_is_part_of_the_key(start, store, campaign, tmp_path):
+    """Another byte in a bag's folder or in the command log: the poses are found anew; else they are not."""
+    log, commands = campaign
+    commands.to_csv(tmp_path / "commands.csv", index=False)
+    bag = as_bag(log, tmp_path)
+    files = f'measure.streams="{bag}"', f'measure.commands="{tmp_path / "commands.csv"}"'
+
+    def state() -> str:
+        run, events = start(store, 'measure.source="files"', *files)
+        run.until("measure")
+        return next(e.why or e.state for e in events if e.stage == "measure" and e.state in ("ran", "cached"))
+
+    state()
+    assert state() == "cached"
+    commands.assign(t=commands["t"] + 1.0).to_csv(tmp_path / "commands.csv", index=False)
+    assert "measure.commands" in state()
+    (bag / "note.txt").write_text("deck crane moved at noon")
+    assert "measure.streams" in state()
+
+
+def test_the_page_tells_of_the_log(start, store, campaign, tmp_path):
+    """Health, offset and the pose that was left out, as the report's template shows them."""
+    from jinja2 import Environment
+
+    from pipeline.fingerprint import ROOT
+
+    log, commands = campaign
+    commands.to_csv(tmp_path / "commands.csv", index=False)
+    files = f'measure.streams="{as_nmea(log, tmp_path)}"', f'measure.commands="{tmp_path / "commands.csv"}"'
+    measured = start(store, 'measure.source="files"', *files)[0].until("measure")[0]
+    text = (ROOT / "pipeline" / "templates" / "report.html").read_text()
+    part = text[text.index("{% if campaign %}") : text.index("<h2>What was learned")]
+    page = Environment(autoescape=True).from_string(part).render(campaign=measured.campaign)
+    assert "13 of 14 commanded poses were used" in page
+    assert "fail their checksum" in page
+    assert "pose 5: held for 2.5 s" in page
+
+
+@pytest.mark.parametrize(
+    "settings, said",
+    [
+        (['measure.commands="c.csv"'], "commands need the stream that was logged beside them: set measure.streams"),
+        (['measure.commands="c.csv"', 'measure.table="t.csv"'], "commands and table both say the joint values"),
+        (['measure.streams="s.log"'], "set measure.table or measure.commands"),
+        (['measure.log.formt="nmea"'], "did you mean 'format'?"),
+        (["measure.log.min_seconds=0"], "measure.log.min_seconds: found 0"),
+    ],
+)
+def test_settings_that_don_t_fit_are_refused(settings, said):
+    with pytest.raises(InputError, match=r"ups3_s|--set") as error:
+        load_robot("ups3_s", settings)
+    assert said in str(error.value)
+
+
+def test_a_log_without_commands_is_refused(start, store, virtual, campaign, tmp_path):
+    virtual[["pose", *JOINTS]].to_csv(tmp_path / "joints.csv", index=False)
+    files = f'measure.streams="{as_nmea(campaign[0], tmp_path)}"', f'measure.table="{tmp_path / "joints.csv"}"'
+    with pytest.raises(InputError, match=r"log\.nmea: a nmea log does not say which pose .* set measure\.commands"):
+        start(store, 'measure.source="files"', *files)[0].until("measure")
+
+
+def test_the_readers_libraries_are_part_of_the_key():
+    libraries = next(names for function, names in STAGES.items() if function.__name__ == "measure")
+    assert {"pynmeagps", "rosbags"} <= set(libraries)
