@@ -53,6 +53,7 @@ if TYPE_CHECKING:
 
     from identification.error_model import ErrorModel
     from identification.measurements import Measurements
+    from urdf.closed_chain import ClosedChain
     from urdf.kinematics import Closure
     from urdf.rigid_motion import Motion
 

@@ -91,6 +91,6 @@ def _unusable(samples: pd.DataFrame, poses: list[int]) -> list[DroppedPose]:
     }
     values = samples.groupby("pose")[[c for c in ANGLES if c in samples]].nunique()
     for channel in values:
-        for p in pose[(values[channel].to_numpy() == 1) & (count >= _STUCK)].tolist():
+        for p in pose[(np.asarray(values[channel]) == 1) & (count >= _STUCK)].tolist():
             dropped[p] = f"channel {channel!r} is stuck for all {found[p]} samples"
     return [DroppedPose(p, reason) for p, reason in dropped.items()]
