@@ -44,8 +44,8 @@ class RaoTable:
         Outside the table's frequencies the ship does not move.
         """
         at = np.stack(np.broadcast_arrays(frequency, np.mod(direction, 2 * np.pi)), axis=-1)
-        amplitude, phasor = np.sqrt(self._squares(at)), self._phasors(at)
-        return amplitude * np.exp(1j * np.angle(phasor))
+        phase = np.exp(1j * np.angle(self._phasors(at)))
+        return (np.sqrt(self._squares(at)) * phase).reshape(*at.shape[:-1], len(MODES))
 
     @cached_property
     def _squares(self) -> RegularGridInterpolator:

@@ -11,33 +11,34 @@ from pipeline.sea.settings import Seaway
 from pipeline.sea.waves import spectrum, spreading
 
 if TYPE_CHECKING:
-    from waveresponse import DirectionalBinSpectrum, DirectionalSpectrum, WaveBinSpectrum, WaveSpectrum
+    from waveresponse import DirectionalBinSpectrum, WaveBinSpectrum
 
 _DIRECTIONS = 72  # of a spread sea
 # waveresponse's words for directions as ours: counted from x towards y, z up, to where the waves travel
 CONVENTION = {"clockwise": False, "waves_coming_from": False}
 
 
-def wave_spectrum(sea: Seaway) -> WaveSpectrum | WaveBinSpectrum:
-    """The sea over the frequencies of the waves [rad/s] and their directions [rad]."""
-    from waveresponse import WaveBinSpectrum, WaveSpectrum
+def wave_spectrum(sea: Seaway) -> WaveBinSpectrum:
+    """The sea over the frequencies of the waves [rad/s], in bins of directions [rad]."""
+    from waveresponse import WaveBinSpectrum
 
     frequency, density = spectrum(sea)
     if sea.spreading is None:
         return WaveBinSpectrum(frequency, [sea.heading % (2 * np.pi)], density[:, None], **CONVENTION)
     direction = np.arange(_DIRECTIONS) * 2 * np.pi / _DIRECTIONS
-    over = spreading(sea.spreading, np.mod(direction - sea.heading, 2 * np.pi))
-    return WaveSpectrum(frequency, direction, density[:, None] * over, **CONVENTION)
+    share = spreading(sea.spreading, np.mod(direction - sea.heading, 2 * np.pi)) * 2 * np.pi / _DIRECTIONS
+    return WaveBinSpectrum(frequency, direction, density[:, None] * share, **CONVENTION)
 
 
-def response_spectra(sea: Seaway, rao: Rao) -> list[DirectionalSpectrum | DirectionalBinSpectrum]:
+def response_spectra(sea: Seaway, rao: Rao) -> list[DirectionalBinSpectrum]:
     """Response spectra of surge, sway, heave, roll, pitch, yaw over the frequencies of the waves, not of encounter."""
     from waveresponse import RAO, calculate_response
 
     waves = wave_spectrum(sea)
     frequency, direction = waves.freq(freq_hz=False), waves.dirs(degrees=False)
     values = np.moveaxis(rao.response(frequency[:, None], direction[None, :], sea.speed), 2, 0)
-    return [calculate_response(RAO(frequency, direction, mode, **CONVENTION), waves, 0.0) for mode in values]
+    raos = [RAO(frequency, direction, mode, **CONVENTION) for mode in values]
+    return [calculate_response(mode, waves, 0.0, reshape="rao") for mode in raos]  # the grids are the same
 
 
 def expected_std(sea: Seaway, rao: Rao) -> np.ndarray:
