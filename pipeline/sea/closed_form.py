@@ -37,7 +37,7 @@ class ClosedFormRao:
 
 
 def _heave_pitch(vessel: Vessel, k: np.ndarray, along: np.ndarray, alpha: np.ndarray):
-    """Jensen et al., eq. 1-11: a box in strip theory; alpha = w_e / w. A pitch of ours is positive bow down."""
+    """Jensen et al.: a box in strip theory, of beam times block coefficient; alpha = w_e / w. Pitch is bow down here."""
     length, beam, draught = vessel.length_m, vessel.beam_m * vessel.block_coefficient, vessel.draught_m
     half = np.abs(k * along) * length / 2
     radiated = 2 * np.sin(k * beam * alpha**2 / 2) * np.exp(-k * draught * alpha**2)
@@ -49,7 +49,7 @@ def _heave_pitch(vessel: Vessel, k: np.ndarray, along: np.ndarray, alpha: np.nda
 
 
 def _roll(vessel: Vessel, k: np.ndarray, along: np.ndarray, across: np.ndarray, encounter: np.ndarray) -> np.ndarray:
-    """Jensen et al., eq. 20-28: two prismatic beams; the moment follows from their damping by Haskind's relation.
+    """Jensen et al.: two prismatic beams; the moment follows from their damping by Haskind's relation.
 
     Density cancels out: moments are divided by it.
     """
@@ -71,7 +71,7 @@ def _roll(vessel: Vessel, k: np.ndarray, along: np.ndarray, across: np.ndarray, 
 
 
 def _sectional_damping(area: float, beam: float, draught: float, frequency: np.ndarray) -> np.ndarray:
-    """b44 / density of a section, eq. 26, fitted for 1 <= B/T <= 6; frequencies in units of sqrt(2 g / B)."""
+    """b44 / density of a section, their fit for 1 <= B/T <= 6; frequencies in units of sqrt(2 g / B)."""
     slender = min(max(beam / draught, 1.0), 6.0)
     if slender >= 3:
         a, b, d = 0.256 * slender - 0.286, -0.11 * slender - 2.55, 0.033 * slender - 1.419

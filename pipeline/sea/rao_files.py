@@ -3,17 +3,30 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.constants import knot
 
 from pipeline.sea.rao import MODES, RaoTable
+from urdf.description import Column
 from urdf.errors import InputError
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 _ANGLES = MODES[3:]
 _ODD = np.array([1, -1, 1, -1, 1, -1])  # of a ship with port like starboard, in waves from the other side
 _MSS_AXES = np.array([1, -1, -1, 1, -1, -1])  # x forward, y to starboard, z down -> x forward, y to port, z up
 _WIDEST = np.deg2rad(45.0)  # between tabulated directions
+
+
+def _columns(mode: str) -> tuple[str, str]:
+    """Amplitude [m/m or deg/m] and phase lead [deg]."""
+    return (f"{mode}_deg" if mode in _ANGLES else mode), f"{mode}_phase_deg"
+
+
+_KNOWN = ("frequency", "direction_deg", "speed_knots", *(name for mode in MODES for name in _columns(mode)))
 
 
 def read_rao(file: Path, speed: float) -> RaoTable:
@@ -34,61 +47,60 @@ def read_rao(file: Path, speed: float) -> RaoTable:
 
 def _own(file: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """frequency (f,), direction (d,), speeds (s,), values (s, f, d, 6) of kincal's own table."""
-    from identification.measurements import load, numbers
-    from urdf.description import Column, Measure
+    from identification.measurements import load
+    from urdf.description import Measure
 
     raw = load(file, Measure())
-
-    def column(name: str) -> np.ndarray:
-        if name not in raw:
-            raise InputError(f"{file}: column {name!r} is missing; it has {', '.join(map(str, raw.columns))}")
-        return numbers(raw[name].tolist(), Column.model_validate({"from": name}), file)
-
-    known = {"frequency", "direction_deg", "speed_knots"} | {n for m in MODES for n in _columns(m)}
     for name in raw.columns:
-        if name not in known:
-            raise InputError(f"{file}: unknown column {name!r}; allowed are {', '.join(sorted(known))}")
-    at = [column("speed_knots") * knot if "speed_knots" in raw else np.zeros(len(raw)), column("frequency")]
-    at.append(np.deg2rad(column("direction_deg")))
-    axes, places = zip(*(np.unique(values, return_inverse=True) for values in at), strict=True)
-    shape = tuple(map(len, axes))
-    where = np.ravel_multi_index(places, shape)
-    if len(raw) != np.prod(shape) or len(np.unique(where)) != len(where):
+        if name not in _KNOWN:
+            raise InputError(f"{file}: unknown column {name!r}; allowed are {', '.join(_KNOWN)}")
+    speed = _column(raw, "speed_knots", file) * knot if "speed_knots" in raw else np.zeros(len(raw))
+    at = [speed, _column(raw, "frequency", file), np.deg2rad(_column(raw, "direction_deg", file))]
+    axes = [np.unique(values) for values in at]
+    shape = tuple(len(axis) for axis in axes)
+    where = np.ravel_multi_index([np.searchsorted(axis, v) for axis, v in zip(axes, at, strict=True)], shape)
+    if len(raw) != np.prod(shape) or np.unique(where).size != len(raw):
         raise InputError(
             f"{file}: {len(raw)} rows of {shape[0]} speeds, {shape[1]} frequencies and {shape[2]} directions; "
             f"allowed is each combination once ({np.prod(shape)} rows)"
         )
-    values = np.zeros((*shape, 6), dtype=complex)
+    values = np.zeros((len(raw), 6), dtype=complex)
     for index, mode in enumerate(MODES):
         amplitude, phase = _columns(mode)
-        if amplitude not in raw and phase not in raw and mode in ("surge", "sway", "yaw"):
-            continue
-        size = np.deg2rad(column(amplitude)) if mode in _ANGLES else column(amplitude)
-        values.reshape(-1, 6)[where, index] = size * np.exp(1j * np.deg2rad(column(phase)))
-    return _checked(axes[1], file), axes[2], axes[0], values
+        if amplitude in raw or phase in raw or mode in ("heave", "roll", "pitch"):
+            size = _column(raw, amplitude, file) * (np.pi / 180 if mode in _ANGLES else 1.0)
+            values[where, index] = size * np.exp(1j * np.deg2rad(_column(raw, phase, file)))
+    return _checked(axes[1], file), axes[2], axes[0], values.reshape(*shape, 6)
 
 
-def _columns(mode: str) -> tuple[str, str]:
-    """Amplitude [m/m or deg/m] and phase lead [deg]."""
-    return (f"{mode}_deg" if mode in _ANGLES else mode), f"{mode}_phase_deg"
+def _column(raw: pd.DataFrame, name: str, file: Path) -> np.ndarray:
+    from identification.measurements import numbers
+
+    if name not in raw:
+        raise InputError(f"{file}: column {name!r} is missing; it has {', '.join(map(str, raw.columns))}")
+    return numbers(raw[name].tolist(), Column.model_validate({"from": name}), file)
 
 
 def _mss(file: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """The same of a .mat file with a `vessel` whose motionRAO has amp, phase (6 of (f, d, 10)) and w (f,).
 
-    Phases lead the wave's crest; a heading is where waves travel to, from the bow towards starboard; axes are x forward,
-    y to starboard, z down. The last of the ten speeds are empty.
+    Phases lead the wave's crest; a heading is where waves travel to, from the bow towards starboard; axes are x
+    forward, y to starboard, z down. The last of the ten speeds are empty.
     """
     from scipy.io import loadmat
 
     try:
-        vessel = loadmat(file, squeeze_me=True, struct_as_record=False)["vessel"]
+        content = loadmat(file, squeeze_me=True, struct_as_record=False)
+    except OSError as error:
+        raise InputError(f"{file}: can't be read: {error.strerror or error}") from None
+    except Exception as error:  # of a damaged file scipy's reader raises whatever it stumbles over
+        raise InputError(f"{file}: not a MATLAB file that can be read: {' '.join(str(error).split())[:200]}") from None
+    try:
+        vessel = content["vessel"]
         rao, headings, speeds = vessel.motionRAO, vessel.headings, np.atleast_1d(vessel.velocities).astype(float)
         amplitude, phase = (np.stack(list(part), axis=-1).astype(float) for part in (rao.amp, rao.phase))
         frequency = np.asarray(rao.w, dtype=float)
-    except OSError as error:
-        raise InputError(f"{file}: can't be read: {error.strerror or error}") from None
-    except (KeyError, AttributeError, TypeError, ValueError, NotImplementedError) as error:
+    except (KeyError, AttributeError, TypeError, ValueError) as error:
         why = " ".join(str(error).split())[:200]
         raise InputError(f"{file}: no vessel structure with motionRAO.amp, .phase and .w: {why}") from None
     if amplitude.ndim == 3:  # a single speed's axis is squeezed away
@@ -111,7 +123,7 @@ def _checked(frequency: np.ndarray, file: Path) -> np.ndarray:
 
 
 def _around(direction: np.ndarray, values: np.ndarray, file: Path) -> tuple[np.ndarray, np.ndarray]:
-    """Directions (d,) in [0, 2 pi) and values (f, d, 6) of the whole circle; a table of 0 to 180 degrees is mirrored."""
+    """Directions (d,) in [0, 2 pi) and values (f, d, 6) of the whole circle; 0 to 180 degrees are mirrored."""
     turn = 2 * np.pi
     if direction.min() >= 0 and np.isclose(direction.max(), np.pi) and np.isclose(direction.min(), 0):
         inner = slice(-2, 0, -1)

@@ -55,7 +55,9 @@ def _check(t: np.ndarray, columns: np.ndarray, what: str) -> None:
     step = np.diff(t)
     if step.min() <= 0:
         row = step.argmin() + 1
-        raise InputError(f"{what}: sample {row + 1}: time goes from {t[row - 1]:.6g} to {t[row]:.6g} s; it must increase")
+        raise InputError(
+            f"{what}: sample {row + 1}: time goes from {t[row - 1]:.6g} to {t[row]:.6g} s; it must increase"
+        )
     if step.max() > LONGEST_GAP:
         row = step.argmax() + 1
         raise InputError(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, cast
 
 import numpy as np
 
@@ -38,7 +38,8 @@ def response_spectra(sea: Seaway, rao: Rao) -> list[DirectionalBinSpectrum]:
     frequency, direction = waves.freq(freq_hz=False), waves.dirs(degrees=False)
     values = np.moveaxis(rao.response(frequency[:, None], direction[None, :], sea.speed), 2, 0)
     raos = [RAO(frequency, direction, mode, **CONVENTION) for mode in values]
-    return [calculate_response(mode, waves, 0.0, reshape="rao") for mode in raos]  # the grids are the same
+    found = [calculate_response(mode, waves, 0.0, reshape="rao") for mode in raos]  # "rao": the grids are the same
+    return cast("list[DirectionalBinSpectrum]", found)
 
 
 def expected_std(sea: Seaway, rao: Rao) -> np.ndarray:

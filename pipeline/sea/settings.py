@@ -10,8 +10,8 @@ from scipy.constants import knot
 
 from urdf.description import File, Positive
 
-# Significant wave height [m] (mean of the range) and most probable modal period [s] of the open North Atlantic:
-# Bales, Lee & Voelker 1981, DTNSRDC/SPD-0919-01, taken over by NATO's STANAG 4194. Heights lie within the WMO's code.
+# Significant wave height [m] (mean of the range) and most probable peak period [s] of the open North Atlantic: NATO's
+# STANAG 4194, after Bales, Lee & Voelker 1981 (DTNSRDC/SPD-0919-01). The ranges are those of the WMO's code 3700.
 SEA_STATES = {3: (0.88, 7.5), 4: (1.88, 8.8), 5: (3.25, 9.7), 6: (5.0, 12.4)}
 
 Fraction = Annotated[float, Field(gt=0, le=1)]
@@ -31,7 +31,7 @@ class Vessel(_Table):
     waterplane_coefficient: Fraction = 0.85
     metacentric_height_m: Positive | None = None  # transverse; default: 0.11 of the beam
     roll_period_s: Positive | None = None  # default: as the 2008 IS Code estimates it
-    roll_damping: Annotated[float, Field(ge=0, lt=1)] = 0.2  # viscous, of critical; what waves carry off comes on top
+    roll_damping: Annotated[float, Field(ge=0, lt=1)] = 0.2  # viscous, of critical; what waves carry off adds to it
 
     @model_validator(mode="after")
     def _ship(self) -> Vessel:

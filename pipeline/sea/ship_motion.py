@@ -56,7 +56,7 @@ class ShipMotion:
 
     @cached_property
     def angular_rate(self) -> np.ndarray:
-        """(n, 3) in the ship's axes, as gyros on board read it [rad/s]; Fossen 2021, eq. 2.28."""
+        """(n, 3) in the ship's axes, as gyros on board read it [rad/s]; Fossen 2021, section 2.2."""
         (sr, cr), (sp, cp) = _sin_cos(self.roll), _sin_cos(self.pitch)
         roll, pitch, yaw = self.angle_rates.T
         return np.stack([roll - yaw * sp, pitch * cr + yaw * sr * cp, yaw * cr * cp - pitch * sr], axis=-1)
@@ -82,7 +82,7 @@ class ShipMotion:
         return self.acceleration + np.einsum("nij,nj->ni", self.rotation, about)
 
     def specific_force(self, lever: ArrayLike = (0.0, 0.0, 0.0)) -> np.ndarray:
-        """(n, 3) in the ship's axes, as accelerometers at a lever arm (3,) [m] read it [m/s^2]: + g at rest, upright."""
+        """(n, 3) in the ship's axes, as accelerometers at a lever arm (3,) [m] read it [m/s^2]: + g upwards at rest."""
         return np.einsum("nji,nj->ni", self.rotation, self.acceleration_at(lever) + g * UP)
 
     def nmea_deg(self, course_deg: float = 0.0) -> np.ndarray:

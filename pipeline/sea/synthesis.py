@@ -55,9 +55,9 @@ def superposed(frequency: np.ndarray, harmonics: np.ndarray, t: np.ndarray) -> n
     m, k = len(t), harmonics.shape[1]
     block = int(np.ceil(np.sqrt(m)))
     within = np.exp(1j * np.outer(frequency, t[:block]))  # (n, block)
-    real_within = np.concatenate([within.real, -within.imag])
+    real_within = np.concatenate([np.real(within), -np.imag(within)])
     sums = np.empty((-(-m // block), block, k))
     for row, start in enumerate(t[::block]):
         turned = harmonics * np.exp(1j * frequency * start)[:, None]
-        sums[row] = real_within.T @ np.concatenate([turned.real, turned.imag])
+        sums[row] = real_within.T @ np.concatenate([np.real(turned), np.imag(turned)])
     return sums.reshape(-1, k)[:m]

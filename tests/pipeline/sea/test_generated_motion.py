@@ -142,7 +142,9 @@ def test_a_record_does_not_repeat():
     """No later stretch of three hours is like the first five minutes: correlations stay those of chance."""
     roll = generated(three_hours(), ClosedFormRao(Seaway().vessel)).roll
     first = roll[:300] / np.linalg.norm(roll[:300])
-    later = np.array([roll[k : k + 300] @ first / np.linalg.norm(roll[k : k + 300]) for k in range(300, len(roll) - 300)])
+    later = np.array(
+        [roll[k : k + 300] @ first / np.linalg.norm(roll[k : k + 300]) for k in range(300, len(roll) - 300)]
+    )
     assert np.abs(later).max() < 0.8
 
 
