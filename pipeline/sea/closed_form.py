@@ -37,7 +37,7 @@ class ClosedFormRao:
 
 
 def _heave_pitch(vessel: Vessel, k: np.ndarray, along: np.ndarray, alpha: np.ndarray):
-    """Jensen et al.: a box in strip theory, of beam times block coefficient; alpha = w_e / w. Pitch is bow down here."""
+    """Jensen et al.: a box in strip theory, beam times block coefficient; alpha = w_e / w. Pitch is bow down here."""
     length, beam, draught = vessel.length_m, vessel.beam_m * vessel.block_coefficient, vessel.draught_m
     half = np.abs(k * along) * length / 2
     radiated = 2 * np.sin(k * beam * alpha**2 / 2) * np.exp(-k * draught * alpha**2)
