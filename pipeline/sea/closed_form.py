@@ -59,10 +59,9 @@ def _roll(vessel: Vessel, k: np.ndarray, along: np.ndarray, across: np.ndarray, 
     aft = _sectional_damping(area, beam, draught, np.abs(encounter))
     fore = _sectional_damping(ratio * area, ratio * beam, draught, np.abs(encounter))
     phase = np.abs(k * along) * length / 2
-    shares = _AFT * _mean(_AFT * phase) * np.sqrt(aft) + np.exp(1j * phase) * (1 - _AFT) * _mean(
-        (1 - _AFT) * phase
-    ) * np.sqrt(fore)
-    moment = g * length * np.abs(shares) / np.sqrt(np.abs(encounter))
+    aft_part = _AFT * _mean(_AFT * phase) * np.sqrt(aft)
+    fore_part = (1 - _AFT) * _mean((1 - _AFT) * phase) * np.sqrt(fore)
+    moment = g * length * np.abs(aft_part + np.exp(1j * phase) * fore_part) / np.sqrt(np.abs(encounter))
     stiffness = g * vessel.block_coefficient * length * beam * draught * vessel.metacentric_height
     period = vessel.roll_period
     damping = length * (_AFT * aft + (1 - _AFT) * fore) + vessel.roll_damping * stiffness * period / np.pi

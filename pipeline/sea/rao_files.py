@@ -51,6 +51,8 @@ def _own(file: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     from urdf.description import Measure
 
     raw = load(file, Measure())
+    if raw.empty:
+        raise InputError(f"{file}: it has no row; needed are at least two frequencies, and directions")
     for name in raw.columns:
         if name not in _KNOWN:
             raise InputError(f"{file}: unknown column {name!r}; allowed are {', '.join(_KNOWN)}")

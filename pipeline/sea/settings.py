@@ -65,7 +65,7 @@ class Seaway(_Table):
     spreading: Annotated[int, Field(ge=1, le=50)] | None = None  # s of cos^2s within +-90 degrees; None: long-crested
     heading_deg: float = 120.0  # where waves travel to, from the bow towards port: 0 following, 180 head sea
     speed_knots: Annotated[float, Field(ge=0, le=60)] = 0.0
-    minutes: Annotated[float, Field(gt=0, le=24 * 60)] = 10.0
+    minutes: Annotated[float, Field(ge=0.1, le=24 * 60)] = 10.0
     rate_hz: Annotated[float, Field(ge=1, le=1000)] = 100.0
     vessel: Vessel = Vessel()
     rao: File | None = None  # a table of response amplitude operators in place of the closed forms

@@ -87,19 +87,16 @@ def test_a_spread_sea_has_its_spread():
 
 @pytest.mark.parametrize("heading_deg, speed_knots", [(0.0, 20.0), (120.0, 10.0), (180.0, 5.0)])
 def test_waves_are_met_at_the_frequency_of_encounter(heading_deg, speed_knots):
-    """The phase of a wave at a point that moves with the ship, by finite steps."""
-    sea = Seaway(heading_deg=heading_deg, speed_knots=speed_knots)
-    waves = drawn(sea)
-    along = speed_knots * knot * np.cos(np.deg2rad(heading_deg))  # ship's speed in the waves' direction
-    phase = waves.frequency * 10.0 - waves.frequency**2 / g * along * 10.0
-    assert waves.encounter * 10.0 == pytest.approx(phase)
-    assert ((waves.encounter < 0).any()) == (heading_deg == 0.0)
+    """By the Doppler effect on each wave's phase speed g / w; a fast ship overtakes the short waves she follows."""
+    waves = drawn(Seaway(heading_deg=heading_deg, speed_knots=speed_knots))
+    with_the_waves = speed_knots * knot * np.cos(np.deg2rad(heading_deg))
+    assert waves.encounter == pytest.approx(waves.frequency * (1 - with_the_waves / (g / waves.frequency)))
+    assert (waves.encounter < 0).any() == (heading_deg == 0.0)
 
 
-@pytest.mark.parametrize("speed_knots", [0.0, 10.0])
-def test_the_records_spectrum_is_the_responses(speed_knots):
+def test_the_records_spectrum_is_the_responses():
     """Variance of twenty records in bands of the frequency of encounter, bow sea, of heave, roll and pitch."""
-    sea = three_hours(heading_deg=150.0, speed_knots=speed_knots)
+    sea = three_hours(heading_deg=150.0, speed_knots=10.0)
     rao = ClosedFormRao(sea.vessel)
     w, _ = spectrum(sea)
     met = w - w**2 * sea.speed * np.cos(sea.heading) / g

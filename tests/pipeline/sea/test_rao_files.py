@@ -124,6 +124,7 @@ def test_what_is_no_table_is_refused(tmp_path):
     refused(raw.drop(columns="roll_deg"), "'roll_deg' is missing")
     refused(raw.drop(columns="surge_phase_deg"), "'surge_phase_deg' is missing")
     refused(raw.rename(columns={"heave": "heeve"}), "unknown column 'heeve'")
+    refused(raw[:0], "no row")
     refused(raw.drop(index=4), "41 rows", "42 rows")
     refused(pd.concat([raw.drop(index=4), raw[:1]]), "each combination once")
     refused(raw.assign(heave=np.where(raw.index == 3, np.nan, raw["heave"])), "'heave'", "row 4")
