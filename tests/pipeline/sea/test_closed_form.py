@@ -25,7 +25,7 @@ def response(frequency, direction_deg, speed=0.0, ship=SHIP) -> np.ndarray:
 
 @given(frequencies, directions, speeds)
 def test_heave_and_pitch_have_the_papers_amplitudes(w, beta, speed):
-    """Jensen et al. 2004 in real numbers, as printed: eta F and eta G."""
+    """Jensen et al. 2004 in real numbers: eta F and eta G."""
     length, beam, draught = SHIP.length_m, SHIP.beam_m * SHIP.block_coefficient, SHIP.draught_m
     k = w**2 / g
     ke = abs(k * np.cos(beta))
