@@ -13,6 +13,7 @@ commands. Long ones, by name:
     ur10_recording    a real arm, where its recordings are at hand; a minute
     learning_recordings  the six methods and scikit-learn's regressors on recorded robots; twenty minutes
     predicted_regions    do the regions of predictions hold the truth; ten minutes
+    ship_motion       generated ship motion beside waveresponse's statistics, and the replay of a log; a minute
 """
 
 import subprocess
