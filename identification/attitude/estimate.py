@@ -1,0 +1,101 @@
+"""From the filter's steps, one a block, to attitude at every sample."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from identification.attitude.blocks import Blocks
+from identification.attitude.error_state import Update
+from identification.attitude.innovations import statistics
+from identification.attitude.motion import Nominal
+from identification.attitude.presets import GRAVITY
+from identification.attitude.settings import AttitudeEstimate, InnovationStatistics
+from urdf.rigid_motion import zyx_angles
+
+
+@dataclass(frozen=True)
+class Stretch:
+    """One block: where it started and what the filter knows at its end."""
+
+    start: Nominal
+    turn: np.ndarray  # (3,) in the level frame, without a gyro [rad]
+    end: Nominal
+    std: np.ndarray  # (3,) of roll, pitch and yaw [rad]
+    bias_free_std: np.ndarray  # (2,)
+    force: Update
+    heading: Update
+
+
+def estimate(n: int, blocks: Sequence[Blocks], stretches: Sequence[Stretch]) -> AttitudeEstimate:
+    """At the n samples of the blocks; a stretch's last sample has the update in it."""
+    size = blocks[0].elapsed.shape[1]
+
+    def each(values) -> np.ndarray:
+        return np.repeat(np.array(values), size, axis=0)[:n]
+
+    start = np.array([s.start.rotation for s in stretches])
+    gyro_bias, turn = np.array([s.start.gyro_bias for s in stretches]), np.array([s.turn for s in stretches])
+    angles, first = [], 0
+    for part in blocks:
+        rows = slice(first, first + len(part.dt))
+        angles.append(roll_pitch_yaw(within(part, start[rows], gyro_bias[rows], turn[rows])).reshape(-1, 3))
+        first = rows.stop
+    all_angles = np.concatenate(angles)[:n]
+    ends = np.minimum(np.arange(1, len(stretches) + 1) * size, n) - 1
+    all_angles[ends] = roll_pitch_yaw(np.array([s.end.rotation for s in stretches]))
+    return AttitudeEstimate(
+        roll_pitch_yaw=all_angles,
+        std=each([s.std for s in stretches]),
+        bias_free_std=each([s.bias_free_std for s in stretches]),
+        gyro_bias=each([s.end.gyro_bias for s in stretches]),
+        acceleration_bias=each([s.end.bias for s in stretches]),
+        acceleration=each([s.end.acceleration for s in stretches]),
+        innovations=innovation_statistics(stretches),
+    )
+
+
+def within(blocks: Blocks, start: np.ndarray, gyro_bias: np.ndarray, turn: np.ndarray) -> np.ndarray:
+    """(b, m, 3, 3) rotations at all samples, from those at the starts of the blocks (b, 3, 3)."""
+    own = blocks.partial - blocks.elapsed[:, :, None] * gyro_bias[:, None]
+    share = blocks.elapsed / np.maximum(blocks.elapsed[:, -1:], 1e-12)
+    return _matrices(share[:, :, None] * turn[:, None]) @ start[:, None] @ _matrices(own)
+
+
+def roll_pitch_yaw(rotation: np.ndarray) -> np.ndarray:
+    """(..., 3) [rad] of rotations (..., 3, 3)."""
+    return zyx_angles(rotation)[..., ::-1]
+
+
+def deviations(rotation: np.ndarray, covariance: np.ndarray, tilt: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(3,) one sigma of roll, pitch and yaw, and (2,) of roll and pitch but for the bias of the acceleration [rad].
+
+    covariance: of all errors; tilt: (2, size), the level force by attitude and bias.
+    """
+    yaw, pitch, _ = zyx_angles(rotation)
+    c, s, tangent = np.cos(yaw), np.sin(yaw), np.tan(pitch)
+    rates = np.array([[c / np.cos(pitch), s / np.cos(pitch), 0.0], [-s, c, 0.0], [c * tangent, s * tangent, 1.0]])
+    turned = np.array([tilt[1], -tilt[0]]) / GRAVITY  # what a level force means as a turn about x and y
+    net = rates[:2, :2] @ turned
+    return (
+        np.sqrt(np.diag(rates @ covariance[:3, :3] @ rates.T)),
+        np.sqrt(np.diag(net @ covariance @ net.T)),
+    )
+
+
+def innovation_statistics(stretches: Sequence[Stretch]) -> tuple[InnovationStatistics, ...]:
+    found = []
+    for channel in ("force", "heading"):
+        updates: list[Update] = [getattr(s, channel) for s in stretches]
+        came = [(u.normalised, u.gated) for u in updates if u.normalised is not None]
+        if came:
+            values, gated = zip(*came, strict=True)
+            found.append(statistics(channel, np.array(values), np.array(gated)))
+    return tuple(found)
+
+
+def _matrices(vectors: np.ndarray) -> np.ndarray:
+    return Rotation.from_rotvec(vectors.reshape(-1, 3)).as_matrix().reshape(*vectors.shape, 3)
