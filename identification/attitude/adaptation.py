@@ -1,13 +1,12 @@
 """What the filter learns of the sea and of its own noise while it runs, by exponential forgetting.
 
-The waves' period and size come from the moments of the acceleration and the velocity that the filter sees; the drive
-scales the noise that is known least (of the waves, or of the measurement where there are none) until the normalised
-innovations have the mean that they should have (covariance matching: Mehra 1972, IEEE Trans. Automatic Control 17).
+The waves' period and size come from the moments of the acceleration and the velocity that the filter sees. The width
+of their band (damping) follows the innovations, until their normalised squares have the mean that they should have
+(covariance matching: Mehra 1972, IEEE Trans. Automatic Control 17): a wider band of the same size is less predictable,
+while noise scaled by itself would take waves for tilt. Where nothing moves, the measurement's noise is scaled.
 """
 
 from __future__ import annotations
-
-from dataclasses import replace
 
 import numpy as np
 
@@ -16,43 +15,45 @@ from identification.attitude.motion import Layout, Nominal, Sea
 from identification.attitude.settings import AttitudeSettings
 
 _EVERY_S = 2.0  # between two changes of the model
+_SETTLE_S = 20.0  # before anything is learned: the start's error is no wave
 _PERIOD_S = (3.0, 30.0)
 _LEAST = 1e-3  # acceleration of waves [m/s2]
-_DRIVE = (1e-4, 1e4)
-_SETTLE_S = 20.0  # before anything is learned: the start's error is no wave
+_DAMPING = (0.05, 0.6)
+_NOISE = (0.25, 1e4)
 
 
 class Adaptation:
-    """`sea` is what to believe now."""
+    """`sea` is what to believe of the waves now (None without any), `noise` scales the measurement's variance."""
 
     def __init__(self, settings: AttitudeSettings) -> None:
         waves = settings.waves
-        self.settings, self.elapsed, self.since = settings, 0.0, 0.0
-        self.sea = Sea(8.0, 0.0) if waves is None else Sea(waves.period_s, waves.acceleration)
-        self.nis = 1.0
-        self.moments = np.zeros(2)
+        self.settings, self.elapsed, self.since, self.noise = settings, 0.0, 0.0, 1.0
+        self.needed = 1.0  # innovations' mean square, had the model stayed as it was at first
+        self.sea, self.moments = None, np.zeros(2)
         if waves is not None:
-            self.ratio = wave_band.peak_ratio(waves.damping) * 2 * np.pi
-            self.moments = waves.acceleration**2 * np.array([1.0, (waves.period_s / self.ratio) ** 2])
+            self.sea = Sea(waves.period_s, waves.acceleration, waves.damping)
+            velocity = waves.period_s / (2 * np.pi * wave_band.acceleration_by_velocity(waves.damping))
+            self.moments = waves.acceleration**2 * np.array([1.0, velocity**2])
 
     def learn(self, dt: float, nominal: Nominal, covariance: np.ndarray, layout: Layout, normalised: np.ndarray) -> None:
         """From one block of dt [s]: the state after its update, and its normalised innovation (2,)."""
-        if self.settings.waves is not None and not self.settings.waves.adaptive:
-            return
+        waves = self.settings.waves
         self.elapsed, self.since = self.elapsed + dt, self.since + dt
-        if self.elapsed < _SETTLE_S:
+        if self.elapsed < _SETTLE_S or not (waves is None or waves.adaptive):
             return
         share = 1 - np.exp(-dt / self.settings.adapt_s)
-        self.nis += share * (float(normalised @ normalised) / len(normalised) - self.nis)
-        if self.settings.waves is not None:
-            variance = np.diag(covariance)[layout.band].reshape(2, 4)
-            seen = np.mean(nominal.wave**2 + variance, axis=0)[[wave_band.ACCELERATION, wave_band.ACCELERATION - 1]]
-            self.moments = self.moments + share * (seen - self.moments)
-        if self.since >= _EVERY_S:
-            self.since = 0.0
-            drive = float(np.clip(self.sea.drive * self.nis ** 0.1, *_DRIVE))
-            self.sea = replace(self.sea, drive=drive)
-            if self.settings.waves is not None:
-                period = float(np.clip(self.ratio * np.sqrt(self.moments[1] / self.moments[0]), *_PERIOD_S))
-                acceleration = max(float(np.sqrt(self.moments[0])), _LEAST)
-                self.sea = Sea(period, acceleration, drive)
+        now = self.noise if self.sea is None or waves is None else (self.sea.damping / waves.damping) ** 3
+        self.needed += share * (now * float(normalised @ normalised) / 2 - self.needed)
+        if waves is not None:
+            second_moments = np.mean(nominal.wave**2 + np.diag(covariance)[layout.band].reshape(2, 4), axis=0)
+            self.moments += share * (second_moments[[wave_band.ACCELERATION, wave_band.ACCELERATION - 1]] - self.moments)
+        if self.since < _EVERY_S:
+            return
+        self.since = 0.0
+        if waves is None:
+            self.noise = float(np.clip(self.needed, *_NOISE))
+        else:
+            damping = float(np.clip(waves.damping * self.needed ** (1 / 3), *_DAMPING))
+            ratio = 2 * np.pi * wave_band.acceleration_by_velocity(damping)
+            period = float(np.clip(ratio * np.sqrt(self.moments[1] / self.moments[0]), *_PERIOD_S))
+            self.sea = Sea(period, max(float(np.sqrt(self.moments[0])), _LEAST), damping)

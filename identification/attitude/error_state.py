@@ -109,7 +109,7 @@ class ErrorStateFilter:
             h[0, self.layout.band.start + wave_band.ACCELERATION] = 1.0
             h[1, self.layout.band.start + 4 + wave_band.ACCELERATION] = 1.0
         else:
-            variance *= self.adaptation.sea.drive
+            variance *= self.adaptation.noise
         return self._update("force", u[:2] - self.nominal.acceleration, h, variance * np.eye(2))
 
     def _heading(self, heading: float) -> Update:
@@ -150,8 +150,8 @@ class ErrorStateFilter:
             p[layout.rates, layout.rates] = np.kron(swing, np.eye(3))
         p[:3, :3] = np.diag([tilt, tilt, _UNKNOWN_YAW**2 if heading else 0.0])
         p[layout.bias, layout.bias] = s.acceleration_bias**2 * np.eye(3)
-        if settings.waves is not None:
-            model = wave_model(settings, self.adaptation.sea, settings.update_s)
+        if self.adaptation.sea is not None:
+            model = wave_model(self.adaptation.sea, settings.update_s)
             p[layout.band, layout.band] = np.kron(np.eye(2), model.stationary)
         return p
 

@@ -43,11 +43,11 @@ class Layout:
 
 @dataclass(frozen=True)
 class Sea:
-    """The wave band as it is known by now. drive: by how much the model's noise is scaled (variance)."""
+    """The wave band as it is known by now."""
 
     period: float  # [s]
     acceleration: float  # one sigma [m/s2]
-    drive: float = 1.0
+    damping: float
 
 
 @dataclass(frozen=True)
@@ -85,7 +85,7 @@ class Moved:
 
 
 def move(
-    nominal: Nominal, dt: float, gap: float, rotation: np.ndarray, sea: Sea, layout: Layout, settings: AttitudeSettings
+    nominal: Nominal, dt: float, gap: float, rotation: np.ndarray, sea: Sea | None, layout: Layout, settings: AttitudeSettings
 ) -> Moved:
     """Over dt [s], `gap` of it with unknown rates, turned by `rotation` (3,) [rad] as the gyro has it."""
     s = settings.sensor
@@ -110,17 +110,16 @@ def move(
     keep, gathered = _wandering(s.acceleration_bias, s.acceleration_instability, s.instability_s, dt)
     f[layout.bias, layout.bias], q[layout.bias, layout.bias] = keep * eye, gathered * eye
     wave = nominal.wave
-    if settings.waves is not None:
-        model = wave_model(settings, sea, dt)
+    if sea is not None:
+        model = wave_model(sea, dt)
         f[layout.band, layout.band] = np.kron(np.eye(2), model.transition)
-        q[layout.band, layout.band] = np.kron(np.eye(2), sea.drive * model.noise)
+        q[layout.band, layout.band] = np.kron(np.eye(2), model.noise)
         wave = wave @ model.transition.T
     return Moved(replace(nominal, bias=keep * nominal.bias, wave=wave), turn, f, q)
 
 
-def wave_model(settings: AttitudeSettings, sea: Sea, dt: float) -> wave_band.Discrete:
-    assert settings.waves is not None
-    return wave_band.displacement(sea.period, sea.acceleration, settings.waves.damping, dt)
+def wave_model(sea: Sea, dt: float) -> wave_band.Discrete:
+    return wave_band.displacement(sea.period, sea.acceleration, sea.damping, dt)
 
 
 def swing_model(settings: AttitudeSettings, dt: float) -> wave_band.Discrete:

@@ -45,7 +45,7 @@ def angle(period: float, sigma: float, damping: float, dt: float) -> Discrete:
     return _scaled(unit, w ** np.arange(0, 2.0) * sigma / np.sqrt(unit.stationary[0, 0]))
 
 
-def peak_ratio(damping: float) -> float:
+def acceleration_by_velocity(damping: float) -> float:
     """sigma(d2x) / sigma(dx) of `displacement` in units of 2 pi / period."""
     p = _unit(1.0, damping, 2).stationary
     return float(np.sqrt(p[2, 2] / p[1, 1]))
