@@ -16,6 +16,7 @@ from identification.attitude.settings import AttitudeSettings
 
 _EVERY_S = 2.0  # between two changes of the model
 _SETTLE_S = 20.0  # before anything is learned: the start's error is no wave
+_FIRST_S = 5.0  # of learning that the settings are worth
 _PERIOD_S = (3.0, 30.0)
 _LEAST = 1e-3  # acceleration of waves [m/s2]
 _DAMPING = (0.05, 0.6)
@@ -41,7 +42,8 @@ class Adaptation:
         self.elapsed, self.since = self.elapsed + dt, self.since + dt
         if self.elapsed < _SETTLE_S or not (waves is None or waves.adaptive):
             return
-        share = 1 - np.exp(-dt / self.settings.adapt_s)
+        # at first a plain mean over what has come, later forgetting
+        share = max(1 - np.exp(-dt / self.settings.adapt_s), dt / (_FIRST_S + self.elapsed - _SETTLE_S))
         now = self.noise if self.sea is None or waves is None else (self.sea.damping / waves.damping) ** 3
         self.needed += share * (now * float(normalised @ normalised) / 2 - self.needed)
         if waves is not None:
