@@ -36,7 +36,9 @@ class Adaptation:
             velocity = waves.period_s / (2 * np.pi * wave_band.acceleration_by_velocity(waves.damping))
             self.moments = waves.acceleration**2 * np.array([1.0, velocity**2])
 
-    def learn(self, dt: float, nominal: Nominal, covariance: np.ndarray, layout: Layout, normalised: np.ndarray) -> None:
+    def learn(
+        self, dt: float, nominal: Nominal, covariance: np.ndarray, layout: Layout, normalised: np.ndarray
+    ) -> None:
         """From one block of dt [s]: the state after its update, and its normalised innovation (2,)."""
         waves = self.settings.waves
         self.elapsed, self.since = self.elapsed + dt, self.since + dt
@@ -47,8 +49,8 @@ class Adaptation:
         now = self.noise if self.sea is None or waves is None else (self.sea.damping / waves.damping) ** 3
         self.needed += share * (now * float(normalised @ normalised) / 2 - self.needed)
         if waves is not None:
-            second_moments = np.mean(nominal.wave**2 + np.diag(covariance)[layout.band].reshape(2, 4), axis=0)
-            self.moments += share * (second_moments[[wave_band.ACCELERATION, wave_band.ACCELERATION - 1]] - self.moments)
+            x, y = nominal.wave**2 + covariance.diagonal()[layout.band].reshape(2, 4)
+            self.moments += share * ((x + y)[wave_band.ACCELERATION : 0 : -1] / 2 - self.moments)
         if self.since < _EVERY_S:
             return
         self.since = 0.0

@@ -34,6 +34,11 @@ class Blocks:
     rate: np.ndarray  # (3,) the last one, where a next block goes on [rad/s]
     spikes: int  # samples left out
 
+    @property
+    def share(self) -> np.ndarray:
+        """(b, m) of the block that has passed at each sample."""
+        return self.elapsed / np.maximum(self.elapsed[:, -1:], 1e-12)
+
     def first(self, seconds: float) -> Blocks:
         """Those that begin within so many seconds."""
         k = int(np.sum(np.cumsum(self.dt) - self.dt < seconds))

@@ -21,7 +21,7 @@ from identification.attitude.blocks import Blocks
 from identification.attitude.motion import Layout, Nominal, move, rotation_of, swing_model, wave_model
 from identification.attitude.presets import GRAVITY
 from identification.attitude.settings import AttitudeSettings
-from urdf.rigid_motion import zyx_angles
+from urdf.rigid_motion import cross, from_zyx_angles, zyx_angles
 
 _UNKNOWN_YAW = 2.0  # one sigma before the first heading [rad]
 _FORGIVEN = 4  # refused updates in a row: after them the noise is taken as larger and larger
@@ -71,6 +71,7 @@ class ErrorStateFilter:
         self.ekf.x = np.zeros(self.layout.size)
         self.ekf.P = self._start_covariance(heading)
         self.refused = {"force": 0, "heading": 0}
+        self.gates = {k: float(chdtri(k, settings.gate_probability)) for k in (1, 2)}
 
     def advance(self, blocks: Blocks, k: int) -> Step:
         """Through block k: the target's motion, then its specific force and heading."""
@@ -85,16 +86,14 @@ class ErrorStateFilter:
         heading = self._heading(float(blocks.heading[k]))
         if force.normalised is not None and not force.gated:
             self.adaptation.learn(dt, self.nominal, self.ekf.P, self.layout, force.normalised)
-        return Step(
-            self.nominal, self.ekf.P, tilt, moved.turn, force, heading, moved.transition, predicted, prior
-        )
+        return Step(self.nominal, self.ekf.P, tilt, moved.turn, force, heading, moved.transition, predicted, prior)
 
     def _level_force(
         self, force: np.ndarray, rotation: np.ndarray, dt: float, before: Nominal
     ) -> tuple[np.ndarray, np.ndarray]:
         """(3,) [m/s2] without its bias, and (2, size) how its x and y come from the attitude and the bias."""
         if self.layout.gyro:  # the mean was taken along the gyro's rotation, with its bias
-            force = force - np.cross(0.5 * dt * before.gyro_bias, force)
+            force = force - cross(0.5 * dt * before.gyro_bias, force)
         u = rotation @ (force - before.bias)
         tilt = np.zeros((2, self.layout.size))
         tilt[0, 1], tilt[1, 0] = -u[2], u[2]
@@ -106,8 +105,8 @@ class ErrorStateFilter:
             return Update()
         h = tilt.copy()
         if self.settings.waves is not None:
-            h[0, self.layout.band.start + wave_band.ACCELERATION] = 1.0
-            h[1, self.layout.band.start + 4 + wave_band.ACCELERATION] = 1.0
+            for k, axis in enumerate(self.layout.axes):
+                h[k, axis.start + wave_band.ACCELERATION] = 1.0
         else:
             variance *= self.adaptation.noise
         return self._update("force", u[:2] - self.nominal.acceleration, h, variance * np.eye(2))
@@ -123,11 +122,12 @@ class ErrorStateFilter:
 
     def _update(self, channel: str, innovation: np.ndarray, h: np.ndarray, noise: np.ndarray) -> Update:
         """Gate by the Mahalanobis distance; a sensor that is refused on and on must be heard again in the end."""
+        spread = h @ self.ekf.P @ h.T + noise
         if self.refused[channel] >= _FORGIVEN:
-            excess = self.refused[channel] - _FORGIVEN + 1
-            noise = noise + 2.0**min(excess, 40) * np.diag(np.diag(h @ self.ekf.P @ h.T + noise))
-        normalised = np.linalg.solve(np.linalg.cholesky(h @ self.ekf.P @ h.T + noise), innovation)
-        if normalised @ normalised > chdtri(len(innovation), self.settings.gate_probability):
+            excess = 2.0 ** min(self.refused[channel] - _FORGIVEN + 1, 40) * np.diag(np.diag(spread))
+            spread, noise = spread + excess, noise + excess
+        normalised = np.linalg.solve(np.linalg.cholesky(spread), innovation)
+        if normalised @ normalised > self.gates[len(innovation)]:
             self.refused[channel] += 1
             return Update(normalised, gated=True)
         self.refused[channel] = max(0, self.refused[channel] // 2)
@@ -164,6 +164,4 @@ def start_rotation(first: Blocks, yaw: float) -> np.ndarray:
         back = back @ rotation_of(rotation)
     x, y, z = np.nanmedian(np.array(forces), axis=0)
     roll, pitch = np.arctan2(y, z), np.arctan2(-x, np.hypot(y, z))
-    from urdf.rigid_motion import from_zyx_angles
-
     return from_zyx_angles(np.array([yaw, pitch, roll]))

@@ -24,10 +24,11 @@ class Stretch:
     start: Nominal
     turn: np.ndarray  # (3,) in the level frame, without a gyro [rad]
     end: Nominal
-    std: np.ndarray  # (3,) of roll, pitch and yaw [rad]
-    bias_free_std: np.ndarray  # (2,)
+    covariance: np.ndarray  # (3, 3) of the attitude in the level frame [rad2]
+    bias_free: np.ndarray  # (2, 2) of its x and y, but for the bias of the acceleration
     force: Update
     heading: Update
+    correction: np.ndarray | None = None  # (2, 3) of a smoother: rotation vectors in the level frame, start and end
 
 
 def estimate(n: int, blocks: Sequence[Blocks], stretches: Sequence[Stretch]) -> AttitudeEstimate:
@@ -39,18 +40,27 @@ def estimate(n: int, blocks: Sequence[Blocks], stretches: Sequence[Stretch]) -> 
 
     start = np.array([s.start.rotation for s in stretches])
     gyro_bias, turn = np.array([s.start.gyro_bias for s in stretches]), np.array([s.turn for s in stretches])
+    corrections = [s.correction for s in stretches if s.correction is not None]
     angles, first = [], 0
     for part in blocks:
         rows = slice(first, first + len(part.dt))
-        angles.append(roll_pitch_yaw(within(part, start[rows], gyro_bias[rows], turn[rows])).reshape(-1, 3))
+        rotation = within(part, start[rows], gyro_bias[rows], turn[rows])
+        if corrections:
+            before, after = np.array(corrections[rows])[:, :, None].swapaxes(0, 1)
+            rotation = _matrices(before + part.share[:, :, None] * (after - before)) @ rotation
+        angles.append(roll_pitch_yaw(rotation).reshape(-1, 3))
         first = rows.stop
     all_angles = np.concatenate(angles)[:n]
     ends = np.minimum(np.arange(1, len(stretches) + 1) * size, n) - 1
-    all_angles[ends] = roll_pitch_yaw(np.array([s.end.rotation for s in stretches]))
+    rotations = np.array([s.end.rotation for s in stretches])
+    all_angles[ends] = roll_pitch_yaw(rotations)
+    std, bias_free_std = deviations(
+        rotations, np.array([s.covariance for s in stretches]), np.array([s.bias_free for s in stretches])
+    )
     return AttitudeEstimate(
         roll_pitch_yaw=all_angles,
-        std=each([s.std for s in stretches]),
-        bias_free_std=each([s.bias_free_std for s in stretches]),
+        std=each(std),
+        bias_free_std=each(bias_free_std),
         gyro_bias=each([s.end.gyro_bias for s in stretches]),
         acceleration_bias=each([s.end.bias for s in stretches]),
         acceleration=each([s.end.acceleration for s in stretches]),
@@ -61,8 +71,7 @@ def estimate(n: int, blocks: Sequence[Blocks], stretches: Sequence[Stretch]) -> 
 def within(blocks: Blocks, start: np.ndarray, gyro_bias: np.ndarray, turn: np.ndarray) -> np.ndarray:
     """(b, m, 3, 3) rotations at all samples, from those at the starts of the blocks (b, 3, 3)."""
     own = blocks.partial - blocks.elapsed[:, :, None] * gyro_bias[:, None]
-    share = blocks.elapsed / np.maximum(blocks.elapsed[:, -1:], 1e-12)
-    return _matrices(share[:, :, None] * turn[:, None]) @ start[:, None] @ _matrices(own)
+    return _matrices(blocks.share[:, :, None] * turn[:, None]) @ start[:, None] @ _matrices(own)
 
 
 def roll_pitch_yaw(rotation: np.ndarray) -> np.ndarray:
@@ -70,19 +79,25 @@ def roll_pitch_yaw(rotation: np.ndarray) -> np.ndarray:
     return zyx_angles(rotation)[..., ::-1]
 
 
-def deviations(rotation: np.ndarray, covariance: np.ndarray, tilt: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(3,) one sigma of roll, pitch and yaw, and (2,) of roll and pitch but for the bias of the acceleration [rad].
-
-    covariance: of all errors; tilt: (2, size), the level force by attitude and bias.
-    """
-    yaw, pitch, _ = zyx_angles(rotation)
-    c, s, tangent = np.cos(yaw), np.sin(yaw), np.tan(pitch)
-    rates = np.array([[c / np.cos(pitch), s / np.cos(pitch), 0.0], [-s, c, 0.0], [c * tangent, s * tangent, 1.0]])
+def bias_free(covariance: np.ndarray, tilt: np.ndarray) -> np.ndarray:
+    """(2, 2) of the turn about x and y, but for the bias: covariance of all errors, tilt (2, size) level force by them."""
     turned = np.array([tilt[1], -tilt[0]]) / GRAVITY  # what a level force means as a turn about x and y
-    net = rates[:2, :2] @ turned
+    return turned @ covariance @ turned.T
+
+
+def deviations(rotation: np.ndarray, covariance: np.ndarray, net: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(b, 3) one sigma of roll, pitch and yaw, and (b, 2) of roll and pitch but for the acceleration's bias [rad].
+
+    covariance: (b, 3, 3) of the attitude in the level frame; net: (b, 2, 2) as `bias_free` gives it.
+    """
+    yaw, pitch, _ = zyx_angles(rotation).T
+    c, s, tangent, zero = np.cos(yaw), np.sin(yaw), np.tan(pitch), np.zeros_like(yaw)
+    rows = [c / np.cos(pitch), s / np.cos(pitch), zero, -s, c, zero, c * tangent, s * tangent, zero + 1]
+    rates = np.stack(rows, axis=-1).reshape(-1, 3, 3)
+    level = rates[:, :2, :2]
     return (
-        np.sqrt(np.diag(rates @ covariance[:3, :3] @ rates.T)),
-        np.sqrt(np.diag(net @ covariance @ net.T)),
+        np.sqrt(np.einsum("bij,bjk,bik->bi", rates, covariance, rates)),
+        np.sqrt(np.einsum("bij,bjk,bik->bi", level, net, level)),
     )
 
 

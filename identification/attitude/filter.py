@@ -9,7 +9,7 @@ import numpy as np
 
 from identification.attitude.blocks import Blocks, block_size, to_blocks
 from identification.attitude.error_state import ErrorStateFilter, Step
-from identification.attitude.estimate import Stretch, deviations, estimate, roll_pitch_yaw
+from identification.attitude.estimate import Stretch, bias_free, estimate, roll_pitch_yaw
 from identification.attitude.motion import Nominal, rotation_of
 from identification.attitude.settings import AttitudeEstimate, AttitudeSettings, Samples, check
 
@@ -35,8 +35,9 @@ def filter_attitude(
 
 
 def stretch(start: Nominal, step: Step) -> Stretch:
-    std, net = deviations(step.nominal.rotation, step.covariance, step.tilt)
-    return Stretch(start, step.turn, step.nominal, std, net, step.force, step.heading)
+    """What is kept of a step: a long record must not keep all of its matrices."""
+    p = step.covariance
+    return Stretch(start, step.turn, step.nominal, p[:3, :3].copy(), bias_free(p, step.tilt), step.force, step.heading)
 
 
 def steps(t: np.ndarray, samples: Samples, settings: AttitudeSettings) -> Iterator[tuple[Blocks, Nominal, Step]]:
