@@ -27,7 +27,7 @@ class VesselMotion:
     def specific_force(self) -> np.ndarray:
         """(n, 3) what an ideal accelerometer reads [m/s2]."""
         rotation = from_zyx_angles(self.roll_pitch_yaw[:, ::-1])
-        return np.einsum("nji,nj->ni", rotation, self.acceleration + [0.0, 0.0, GRAVITY])
+        return np.einsum("nji,nj->ni", rotation, self.acceleration + np.array([0.0, 0.0, GRAVITY]))
 
 
 def jonswap(frequency: np.ndarray, height: float, period: float, peakedness: float = 3.3) -> np.ndarray:

@@ -3,7 +3,8 @@
 The waves' period and size come from the moments of the acceleration and the velocity that the filter sees. The width
 of their band (damping) follows the innovations, until their normalised squares have the mean that they should have
 (covariance matching: Mehra 1972, IEEE Trans. Automatic Control 17): a wider band of the same size is less predictable,
-while noise scaled by itself would take waves for tilt. Where nothing moves, the measurement's noise is scaled.
+while noise scaled by itself would take waves for tilt. Where nothing moves, the measurement's noise is scaled. Without
+a gyro nothing is learned of the waves: what is swing and what acceleration, only the settings tell.
 """
 
 from __future__ import annotations
@@ -42,11 +43,11 @@ class Adaptation:
         """From one block of dt [s]: the state after its update, and its normalised innovation (2,)."""
         waves = self.settings.waves
         self.elapsed, self.since = self.elapsed + dt, self.since + dt
-        if self.elapsed < _SETTLE_S or not (waves is None or waves.adaptive):
+        if self.elapsed < _SETTLE_S or not (waves is None or (waves.adaptive and layout.gyro)):
             return
         # at first a plain mean over what has come, later forgetting
         share = max(1 - np.exp(-dt / self.settings.adapt_s), dt / (_FIRST_S + self.elapsed - _SETTLE_S))
-        now = self.noise if self.sea is None or waves is None else (self.sea.damping / waves.damping) ** 3
+        now = self.noise if self.sea is None or waves is None else self.sea.damping / waves.damping
         self.needed += share * (now * float(normalised @ normalised) / 2 - self.needed)
         if waves is not None:
             x, y = nominal.wave**2 + covariance.diagonal()[layout.band].reshape(2, 4)
@@ -57,7 +58,7 @@ class Adaptation:
         if waves is None:
             self.noise = float(np.clip(self.needed, *_NOISE))
         else:
-            damping = float(np.clip(waves.damping * self.needed ** (1 / 3), *_DAMPING))
+            damping = float(np.clip(waves.damping * self.needed, *_DAMPING))
             ratio = 2 * np.pi * wave_band.acceleration_by_velocity(damping)
             period = float(np.clip(ratio * np.sqrt(self.moments[1] / self.moments[0]), *_PERIOD_S))
             self.sea = Sea(period, max(float(np.sqrt(self.moments[0])), _LEAST), damping)

@@ -49,8 +49,12 @@ class Blocks:
 def block_size(t: np.ndarray, settings: AttitudeSettings) -> int:
     """Samples a block, from the usual interval of samples."""
     step = np.diff(t)
-    usual = float(np.median(step[step > 0])) if (step > 0).any() else settings.update_s
-    return max(1, round(settings.update_s / usual))
+    return size_at(1 / float(np.median(step[step > 0])) if (step > 0).any() else 1.0, settings)
+
+
+def size_at(rate_hz: float, settings: AttitudeSettings) -> int:
+    """Samples a block; a half goes up, whatever rounding made of the rate."""
+    return max(1, int(settings.update_s * rate_hz + 0.5 + 1e-6))
 
 
 def to_blocks(
@@ -60,7 +64,7 @@ def to_blocks(
     settings: AttitudeSettings,
     before: tuple[float, np.ndarray] | None = None,
 ) -> Blocks:
-    """Times t (n,) [s] and samples (n) as blocks of `size`, the last one shorter. before: time and rate ahead of them."""
+    """Times t (n,) [s] and samples (n) as blocks of `size`, the last one shorter. before: last time and rate."""
     b = -(-len(t) // size)
     missing = b * size - len(t)
     time = np.concatenate([t, np.full(missing, t[-1])])

@@ -31,8 +31,11 @@ class Stretch:
     correction: np.ndarray | None = None  # (2, 3) of a smoother: rotation vectors in the level frame, start and end
 
 
-def estimate(n: int, blocks: Sequence[Blocks], stretches: Sequence[Stretch]) -> AttitudeEstimate:
-    """At the n samples of the blocks; a stretch's last sample has the update in it."""
+def estimate(n: int, blocks: Sequence[Blocks], stretches: Sequence[Stretch], learning: int) -> AttitudeEstimate:
+    """At the n samples of the blocks; a stretch's last sample has the update in it.
+
+    learning: blocks whose innovations don't count, as the filter was still learning what to expect of them.
+    """
     size = blocks[0].elapsed.shape[1]
 
     def each(values) -> np.ndarray:
@@ -64,7 +67,7 @@ def estimate(n: int, blocks: Sequence[Blocks], stretches: Sequence[Stretch]) -> 
         gyro_bias=each([s.end.gyro_bias for s in stretches]),
         acceleration_bias=each([s.end.bias for s in stretches]),
         acceleration=each([s.end.acceleration for s in stretches]),
-        innovations=innovation_statistics(stretches),
+        innovations=innovation_statistics(stretches[learning:]),
     )
 
 
@@ -80,7 +83,7 @@ def roll_pitch_yaw(rotation: np.ndarray) -> np.ndarray:
 
 
 def bias_free(covariance: np.ndarray, tilt: np.ndarray) -> np.ndarray:
-    """(2, 2) of the turn about x and y, but for the bias: covariance of all errors, tilt (2, size) level force by them."""
+    """(2, 2) of the turn about x and y, but for the bias. covariance: of all errors; tilt: (2, size) level force by them."""
     turned = np.array([tilt[1], -tilt[0]]) / GRAVITY  # what a level force means as a turn about x and y
     return turned @ covariance @ turned.T
 

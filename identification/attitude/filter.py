@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from identification.attitude.blocks import Blocks, block_size, to_blocks
+from identification.attitude.blocks import Blocks, block_size, size_at, to_blocks
 from identification.attitude.error_state import ErrorStateFilter, Step
 from identification.attitude.estimate import Stretch, bias_free, estimate, roll_pitch_yaw
 from identification.attitude.motion import Nominal, rotation_of
@@ -31,7 +31,12 @@ def filter_attitude(
             chunks.append(blocks)
             before = blocks
         stretches.append(stretch(start, step))
-    return estimate(len(t), chunks, stretches)
+    return estimate(len(t), chunks, stretches, learning(len(stretches), settings))
+
+
+def learning(blocks: int, settings: AttitudeSettings) -> int:
+    """Of so many blocks, those in which the filter learns its noise; never more than half."""
+    return min(blocks // 2, round(settings.adapt_s / settings.update_s))
 
 
 def stretch(start: Nominal, step: Step) -> Stretch:
@@ -67,7 +72,7 @@ class AttitudeFilter:
     def __init__(self, settings: AttitudeSettings, rate_hz: float) -> None:
         """rate_hz: of the samples that will come, at which `filter_attitude` would see them."""
         self.settings = settings
-        self.size = max(1, round(settings.update_s * rate_hz))
+        self.size = size_at(rate_hz, settings)
         self.starting = self.size * max(1, -(-round(settings.start_s * rate_hz) // self.size))
         self.ekf: ErrorStateFilter | None = None
         self.before: tuple[float, np.ndarray] | None = None
@@ -105,7 +110,9 @@ class AttitudeFilter:
         t = np.array(self.times)
         blocks = to_blocks(t, rows, self.size, self.settings, self.before)
         if self.ekf is None:
-            self.ekf = ErrorStateFilter(self.settings, rows.gyro is not None, rows.heading is not None, blocks)
+            self.ekf = ErrorStateFilter(
+                self.settings, rows.gyro is not None, rows.heading is not None, blocks.first(self.settings.start_s)
+            )
         for k in range(len(blocks.dt)):
             self.ekf.advance(blocks, k)
         self.rotation, self.rate, self.last = self.ekf.nominal.rotation, blocks.rate, float(t[-1])

@@ -13,7 +13,7 @@ import numpy as np
 from identification.attitude.blocks import Blocks
 from identification.attitude.error_state import Step
 from identification.attitude.estimate import Stretch, bias_free, estimate
-from identification.attitude.filter import steps, stretch
+from identification.attitude.filter import learning, steps, stretch
 from identification.attitude.motion import Layout, Nominal
 from identification.attitude.settings import AttitudeEstimate, AttitudeSettings, Samples, check
 
@@ -35,7 +35,8 @@ def smooth_attitude(
         run.append(step)
         starts.append(start)
     layout = Layout.of(settings, samples.gyro is not None)
-    return estimate(len(t), chunks, smoothed(starts, run, layout, np.concatenate([b.dt for b in chunks])))
+    stretches = smoothed(starts, run, layout, np.concatenate([b.dt for b in chunks]))
+    return estimate(len(t), chunks, stretches, learning(len(stretches), settings))
 
 
 def smoothed(starts: list[Nominal], run: list[Step], layout: Layout, dt: np.ndarray) -> list[Stretch]:
