@@ -119,8 +119,8 @@ def _padded(values: np.ndarray, missing: int) -> np.ndarray:
 
 def _without_spikes(values: np.ndarray, floor: float) -> tuple[np.ndarray, np.ndarray]:
     """(b, m, 3) with spikes and NaN replaced by their block's median (0 where all are NaN), and which were good."""
-    finite = np.isfinite(values).all(axis=2)
-    some = finite.any(axis=1)
+    finite = np.asarray(np.isfinite(values).all(axis=2))
+    some = np.any(finite, axis=1)
     if finite.all():
         centre = np.median(values, axis=1)
         spread = np.median(np.abs(values - centre[:, None]), axis=1)

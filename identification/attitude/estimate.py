@@ -83,7 +83,7 @@ def roll_pitch_yaw(rotation: np.ndarray) -> np.ndarray:
 
 
 def bias_free(covariance: np.ndarray, tilt: np.ndarray) -> np.ndarray:
-    """(2, 2) of the turn about x and y, but for the bias. covariance: of all errors; tilt: (2, size) level force by them."""
+    """(2, 2) of the turn about x and y, but for the bias. covariance: of all errors; tilt: (2, size)."""
     turned = np.array([tilt[1], -tilt[0]]) / GRAVITY  # what a level force means as a turn about x and y
     return turned @ covariance @ turned.T
 
