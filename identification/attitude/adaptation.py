@@ -20,7 +20,7 @@ _SETTLE_S = 20.0  # before anything is learned: the start's error is no wave
 _FIRST_S = 5.0  # of learning that the settings are worth
 _PERIOD_S = (3.0, 30.0)
 _LEAST = 1e-3  # acceleration of waves [m/s2]
-_DAMPING = (0.05, 0.6)
+_DAMPING = (0.08, 0.6)
 _NOISE = (0.25, 1e4)
 
 

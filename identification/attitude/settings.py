@@ -96,5 +96,12 @@ def check(t: np.ndarray, samples: Samples, settings: AttitudeSettings, what: str
             raise InputError(f"{what}: {name} has shape {values.shape}; allowed is {shape}, one row a time")
     if n < 2 or not np.isfinite(t).all() or not (np.diff(t) >= 0).all():
         raise InputError(f"{what}: {n} times; allowed are at least 2, finite, none before the one above it")
+    force = samples.tilt if samples.acceleration is None else samples.acceleration
+    assert force is not None
+    early = force[t - t[0] <= settings.start_s]
+    if not np.isfinite(early).all(axis=1).any():
+        raise InputError(
+            f"{what}: no good sample of tilt or acceleration in the first {settings.start_s:g} s; allowed is 1"
+        )
     if t[-1] - t[0] < settings.start_s:
         raise InputError(f"{what}: {t[-1] - t[0]:.3g} s of samples; allowed are at least {settings.start_s:g} s")
