@@ -71,8 +71,8 @@ def accelerometer_alone(record: Record) -> np.ndarray:
     return np.stack([np.arctan2(y, z), np.arctan2(-x, np.hypot(y, z))], axis=1)
 
 
-def madgwick(record: Record, gain: float = 0.005) -> np.ndarray:
-    """Madgwick, Harrison, Vaidyanathan 2011: gradient descent towards gravity; the gain as tuned for slow vessels."""
+def madgwick(record: Record, gain: float = 0.0025) -> np.ndarray:
+    """Madgwick, Harrison, Vaidyanathan 2011: gradient descent towards gravity; the best gain of several on other seeds."""
     w, x, y, z = 1.0, 0.0, 0.0, 0.0
     dt, found = 1 / RATE_HZ, np.empty((len(record.gyro), 2))
     roll, pitch = np.median(accelerometer_alone(record)[: int(5 * RATE_HZ)], axis=0) / 2

@@ -20,7 +20,7 @@ _SETTLE_S = 20.0  # before anything is learned: the start's error is no wave
 _FIRST_S = 5.0  # of learning that the settings are worth
 _PERIOD_S = (3.0, 30.0)
 _LEAST = 1e-3  # acceleration of waves [m/s2]
-_DAMPING = (0.08, 0.6)
+_DAMPING = (0.1, 0.8)
 _NOISE = (0.25, 1e4)
 
 
@@ -47,10 +47,10 @@ class Adaptation:
             return
         # at first a plain mean over what has come, later forgetting
         share = max(1 - np.exp(-dt / self.settings.adapt_s), dt / (_FIRST_S + self.elapsed - _SETTLE_S))
-        now = self.noise if self.sea is None or waves is None else self.sea.damping / waves.damping
+        now = self.noise if self.sea is None or waves is None else (self.sea.damping / waves.damping) ** 2
         self.needed += share * (now * float(normalised @ normalised) / 2 - self.needed)
         if waves is not None:
-            x, y = nominal.wave**2 + covariance.diagonal()[layout.band].reshape(2, 4)
+            x, y = nominal.wave**2 + covariance.diagonal()[layout.band].reshape(2, -1)
             self.moments += share * ((x + y)[wave_band.ACCELERATION : 0 : -1] / 2 - self.moments)
         if self.since < _EVERY_S:
             return
@@ -58,7 +58,7 @@ class Adaptation:
         if waves is None:
             self.noise = float(np.clip(self.needed, *_NOISE))
         else:
-            damping = float(np.clip(waves.damping * self.needed, *_DAMPING))
+            damping = float(np.clip(waves.damping * self.needed**0.5, *_DAMPING))
             ratio = 2 * np.pi * wave_band.acceleration_by_velocity(damping)
             period = float(np.clip(ratio * np.sqrt(self.moments[1] / self.moments[0]), *_PERIOD_S))
             self.sea = Sea(period, max(float(np.sqrt(self.moments[0])), _LEAST), damping)

@@ -65,7 +65,7 @@ class ErrorStateFilter:
             np.zeros(3),
             np.zeros((2, 3)),
             np.zeros(3),
-            np.zeros((2, 4)),
+            np.zeros((2, wave_band.ORDER)),
         )
         self.ekf = ExtendedKalmanFilter(dim_x=self.layout.size, dim_z=2)
         self.ekf.x = np.zeros(self.layout.size)

@@ -36,9 +36,8 @@ class Layout:
     @staticmethod
     def of(settings: AttitudeSettings, gyro: bool) -> Layout:
         bias = 6 if gyro else 9
-        return Layout(
-            gyro, slice(3, bias), slice(bias, bias + 3), slice(bias + 3, bias + (3 if not settings.waves else 11))
-        )
+        waves = 0 if settings.waves is None else 2 * wave_band.ORDER
+        return Layout(gyro, slice(3, bias), slice(bias, bias + 3), slice(bias + 3, bias + 3 + waves))
 
     @property
     def size(self) -> int:
@@ -47,8 +46,8 @@ class Layout:
     @property
     def axes(self) -> tuple[slice, slice]:
         """Of the waves, where there are any."""
-        first = self.band.start
-        return slice(first, first + 4), slice(first + 4, first + 8)
+        first, second = self.band.start, self.band.start + wave_band.ORDER
+        return slice(first, second), slice(second, second + wave_band.ORDER)
 
 
 @dataclass(frozen=True)
@@ -66,7 +65,7 @@ class Nominal:
     gyro_bias: np.ndarray  # (3,) [rad/s]
     swing: np.ndarray  # (2, 3) angles about their mean [rad] and rates [rad/s], without a gyro
     bias: np.ndarray  # (3,) of the acceleration [m/s2]
-    wave: np.ndarray  # (2, 4) displacement of x and y and its derivatives [m, m/s, m/s2, m/s3]
+    wave: np.ndarray  # (2, 6) displacement of x and y and its derivatives [m, m/s, ..]
 
     @property
     def acceleration(self) -> np.ndarray:
@@ -86,7 +85,7 @@ class Nominal:
             self.gyro_bias + rates if layout.gyro else self.gyro_bias,
             self.swing if layout.gyro else self.swing + rates.reshape(2, 3),
             self.bias + error[layout.bias],
-            self.wave + error[layout.band].reshape(2, 4) if layout.band.stop > layout.band.start else self.wave,
+            self.wave + error[layout.band].reshape(2, -1) if layout.band.stop > layout.band.start else self.wave,
         )
 
 

@@ -29,7 +29,7 @@ class WaveBand:
 
     period_s: float = 8.0
     acceleration: float = 0.3  # horizontal, one sigma an axis [m/s2]
-    damping: float = 0.15  # of each of the two oscillators: how wide the band is
+    damping: float = 0.3  # of each of the three oscillators: how wide the band is
     roll_pitch_deg: float = 3.0  # one sigma of the angles, used only without a gyro
     adaptive: bool = True
 

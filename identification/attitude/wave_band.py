@@ -3,10 +3,10 @@
 Horizontal acceleration is the second derivative of a displacement that stays bounded: below the waves its spectrum
 falls with the fourth power of frequency, and that is what tells tilt from acceleration. Displacement x, per axis:
 
-    (d2/dt2 + 2 z w d/dt + w^2)^2 x = white noise,    state (x, dx, d2x, d3x)
+    (d2/dt2 + 2 z w d/dt + w^2)^3 x = white noise,    state (x, dx, .., d5x)
 
-Two equal oscillators in a row, because a ship smooths short waves: the spectrum of acceleration falls with the fourth
-power on the other side as well. Angles of a target without a gyro are one oscillator, state (p, dp). After Fossen,
+Three equal oscillators in a row, because a ship smooths short waves: the spectrum of acceleration falls with the eighth
+power on the other side. With fewer, what is not there at the top would have to be made up for by too narrow a band. Angles of a target without a gyro are one oscillator, state (p, dp). After Fossen,
 Handbook of Marine Craft Hydrodynamics and Motion Control (2nd ed., 2021), section 10.2 (linear wave response models).
 """
 
@@ -19,6 +19,8 @@ import numpy as np
 from scipy.linalg import expm, solve_continuous_lyapunov
 
 ACCELERATION = 2  # its place in the state of a displacement
+_OSCILLATORS = 3
+ORDER = 2 * _OSCILLATORS  # states an axis
 
 
 @dataclass(frozen=True)
@@ -33,8 +35,8 @@ class Discrete:
 def displacement(period: float, acceleration: float, damping: float, dt: float) -> Discrete:
     """Of one horizontal axis over dt [s]: waves of `period` [s], `acceleration` one sigma [m/s2]."""
     w = 2 * np.pi / period
-    unit = _unit(w * dt, damping, 2)
-    scale = w ** np.arange(-ACCELERATION, 2.0) * acceleration / np.sqrt(unit.stationary[ACCELERATION, ACCELERATION])
+    unit = _unit(w * dt, damping, _OSCILLATORS)
+    scale = w ** np.arange(-ACCELERATION, float(ORDER - ACCELERATION)) * acceleration / np.sqrt(unit.stationary[ACCELERATION, ACCELERATION])
     return _scaled(unit, scale)
 
 
@@ -47,7 +49,7 @@ def angle(period: float, sigma: float, damping: float, dt: float) -> Discrete:
 
 def acceleration_by_velocity(damping: float) -> float:
     """sigma(d2x) / sigma(dx) of `displacement` in units of 2 pi / period."""
-    p = _unit(1.0, damping, 2).stationary
+    p = _unit(1.0, damping, _OSCILLATORS).stationary
     return float(np.sqrt(p[2, 2] / p[1, 1]))
 
 
