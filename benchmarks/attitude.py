@@ -72,7 +72,7 @@ def accelerometer_alone(record: Record) -> np.ndarray:
 
 
 def madgwick(record: Record, gain: float = 0.0025) -> np.ndarray:
-    """Madgwick, Harrison, Vaidyanathan 2011: gradient descent towards gravity; the best gain of several on other seeds."""
+    """Madgwick, Harrison, Vaidyanathan 2011: gradient descent towards gravity; the gain is the best on other seeds."""
     w, x, y, z = 1.0, 0.0, 0.0, 0.0
     dt, found = 1 / RATE_HZ, np.empty((len(record.gyro), 2))
     roll, pitch = np.median(accelerometer_alone(record)[: int(5 * RATE_HZ)], axis=0) / 2

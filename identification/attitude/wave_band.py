@@ -6,8 +6,9 @@ falls with the fourth power of frequency, and that is what tells tilt from accel
     (d2/dt2 + 2 z w d/dt + w^2)^3 x = white noise,    state (x, dx, .., d5x)
 
 Three equal oscillators in a row, because a ship smooths short waves: the spectrum of acceleration falls with the eighth
-power on the other side. With fewer, what is not there at the top would have to be made up for by too narrow a band. Angles of a target without a gyro are one oscillator, state (p, dp). After Fossen,
-Handbook of Marine Craft Hydrodynamics and Motion Control (2nd ed., 2021), section 10.2 (linear wave response models).
+power on the other side. With fewer, what is not there at the top would be made up for by too narrow a band. Angles of
+a target without a gyro are one oscillator, state (p, dp). After Fossen, Handbook of Marine Craft Hydrodynamics and
+Motion Control (2nd ed., 2021), section 10.2 (linear wave response models).
 """
 
 from __future__ import annotations
@@ -36,7 +37,11 @@ def displacement(period: float, acceleration: float, damping: float, dt: float) 
     """Of one horizontal axis over dt [s]: waves of `period` [s], `acceleration` one sigma [m/s2]."""
     w = 2 * np.pi / period
     unit = _unit(w * dt, damping, _OSCILLATORS)
-    scale = w ** np.arange(-ACCELERATION, float(ORDER - ACCELERATION)) * acceleration / np.sqrt(unit.stationary[ACCELERATION, ACCELERATION])
+    scale = (
+        w ** np.arange(-ACCELERATION, float(ORDER - ACCELERATION))
+        * acceleration
+        / np.sqrt(unit.stationary[ACCELERATION, ACCELERATION])
+    )
     return _scaled(unit, scale)
 
 
