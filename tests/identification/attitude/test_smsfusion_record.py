@@ -13,6 +13,8 @@ FLIP = np.array([1.0, -1.0, -1.0])  # forward, starboard, down <-> forward, port
 def test_a_beating_motion_as_another_library_simulates_it():
     """Roll and pitch of smsfusion's beating motion (rotation and translation), with its noise and its sensor's figures.
 
+    Pitch and yaw change sign with the axes.
+    """
     smsfusion = pytest.importorskip("smsfusion")
     from smsfusion.benchmark import benchmark_full_pva_beat_202311A
     from smsfusion.constants import ERR_ACC_MOTION2 as ACC
