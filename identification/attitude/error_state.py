@@ -21,6 +21,7 @@ from identification.attitude.blocks import Blocks
 from identification.attitude.motion import Layout, Nominal, move, rotation_of, swing_model, wave_model
 from identification.attitude.presets import GRAVITY
 from identification.attitude.settings import AttitudeSettings
+from urdf.errors import InputError
 from urdf.rigid_motion import cross, from_zyx_angles, zyx_angles
 
 _UNKNOWN_YAW = 2.0  # one sigma before the first heading [rad]
@@ -157,7 +158,12 @@ class ErrorStateFilter:
 
 
 def start_rotation(first: Blocks, yaw: float) -> np.ndarray:
-    """(3, 3) from the median of the blocks' specific forces, each turned back to the very first sample."""
+    """(3, 3) from the median of the blocks' specific forces, each turned back to the very first sample.
+
+    Raises InputError where none of them has a good sample.
+    """
+    if not np.isfinite(first.force).any():
+        raise InputError("attitude: the start has no good sample of tilt or acceleration; at least one is needed")
     back, forces = np.eye(3), []
     for force, rotation in zip(first.force, first.rotation, strict=True):
         forces.append(back @ force)

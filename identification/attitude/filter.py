@@ -25,11 +25,11 @@ def filter_attitude(
     `what` where the samples can't be filtered.
     """
     check(t, samples, settings, what)
-    chunks, stretches, before = [], [], None
+    chunks: list[Blocks] = []
+    stretches: list[Stretch] = []
     for blocks, start, step in steps(t, samples, settings):
-        if blocks is not before:
+        if not chunks or blocks is not chunks[-1]:
             chunks.append(blocks)
-            before = blocks
         stretches.append(stretch(start, step))
     return estimate(len(t), chunks, stretches, learning(len(stretches), settings))
 
@@ -80,6 +80,7 @@ class AttitudeFilter:
         self.kept: list[Samples] = []
         self.rotation = np.eye(3)
         self.rate: np.ndarray | None = None
+        self.last = 0.0
 
     def step(self, t: float, sample: Samples) -> np.ndarray | None:
         """Roll, pitch, yaw (3,) [rad] at time t [s] by one sample (arrays without their first axis); None at first.

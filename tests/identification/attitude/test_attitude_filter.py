@@ -156,6 +156,16 @@ def test_real_time_is_the_same(sea):
     np.testing.assert_allclose(np.array([f for f in found if f is not None]), whole[some], atol=1e-7)
 
 
+def test_long_records_go_chunk_by_chunk(sea, monkeypatch):
+    """Against one chunk: where a record is cut makes no difference."""
+    t, _, force, gyro, _ = (x[:2000] for x in sea)
+    whole = filter_attitude(t, Samples(force, gyro), AttitudeSettings())
+    monkeypatch.setattr("identification.attitude.filter._CHUNK", 30)
+    cut = filter_attitude(t, Samples(force, gyro), AttitudeSettings())
+    np.testing.assert_allclose(cut.roll_pitch_yaw, whole.roll_pitch_yaw, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(cut.std, whole.std, rtol=1e-9)
+
+
 def test_the_start_is_not_one_sample(sea):
     """Against the clean record: a first second of nonsense does not matter after ten."""
     t, angles, force, gyro, off = (x[:1500] if len(x) > 3 else x for x in sea)
@@ -226,6 +236,10 @@ def test_times_that_run_backwards_and_short_records_are_refused():
     t, force, gyro = held((0, 0, 0), seconds=10.0)
     with pytest.raises(InputError, match="none before"):
         filter_attitude(t[::-1], Samples(force, gyro), STILL)
+    with pytest.raises(InputError, match="start has no good sample"):
+        unit = AttitudeFilter(STILL, RATE)
+        for k in range(300):
+            unit.step(k / RATE, Samples(np.full(3, np.nan), np.zeros(3)))
     with pytest.raises(InputError, match="at least 5 s"):
         filter_attitude(t[:100], Samples(force[:100], gyro[:100]), STILL)
 
