@@ -12,6 +12,8 @@ commands. Long ones, by name:
     training          networks beside scikit-learn and torch's Adam, ten seeds at once; six minutes
     ur10_recording    a real arm, where its recordings are at hand; a minute
     learning_recordings  the six methods and scikit-learn's regressors on recorded robots; twenty minutes
+    attitude          roll and pitch at sea beside smsfusion, Madgwick and an accelerometer, 20 seeds; five minutes
+    static_poses      the filter of static poses beside the white-noise bound
     predicted_regions    do the regions of predictions hold the truth; ten minutes
     ship_motion       generated ship motion beside waveresponse's statistics, and the replay of a log; a minute
 """
