@@ -11,7 +11,7 @@ from typing import Annotated, Any
 from cyclopts import App, CycloptsError, Parameter
 from rich.text import Text
 
-from pipeline import study_commands
+from pipeline import sea_commands, study_commands
 from pipeline.console import err, out, print_json, print_table, short, show_comparison, show_inspection, show_table
 from pipeline.options import COMMON, Common, Flag, Json, JsonInstead, Robot, opened
 from urdf.errors import CalibrationError, InputError
@@ -25,6 +25,7 @@ app = App(
 )
 for _command in (study_commands.export, study_commands.plan, study_commands.sweep, study_commands.reproduce):
     app.command(_command)
+app.command(sea_commands.sea_trial)
 
 
 @app.command

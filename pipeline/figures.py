@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import re
 from typing import Any
 
 import numpy as np
@@ -27,9 +28,13 @@ def svg(figure: Figure) -> str:
     return buffer.getvalue()
 
 
-def inline(document: str) -> str:
-    """An SVG as it stands in a page: without what comes before its element."""
-    return document[document.index("<svg") :]
+def inline(document: str, name: str = "") -> str:
+    """An SVG as it stands in a page: without what comes before its element.
+
+    name: of the figure, where there are others on the page: the names within stay apart from theirs.
+    """
+    element = document[document.index("<svg") :]
+    return re.sub(r'(\bid="|url\(#|href="#)', rf"\g<1>{name}-", element) if name else element
 
 
 def clean(axes: Any, grid: str = "both") -> None:

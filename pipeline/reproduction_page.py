@@ -5,7 +5,6 @@ from __future__ import annotations
 import csv
 import io
 import json
-import re
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -141,7 +140,7 @@ def page(made: Findings) -> str:
     templates.filters["degrees"] = degrees
     return templates.get_template("reproduction.html").render(
         document=made.document,
-        figures={name: Markup(_apart(name, inline(svg))) for name, svg in made.figures.items()},
+        figures={name: Markup(inline(svg, name)) for name, svg in made.figures.items()},
         methods=(RAW, *METHODS),
         labels=LABELS,
         scored=SCORED,
@@ -150,11 +149,6 @@ def page(made: Findings) -> str:
         cell=lambda *which: cell(made.document, *which),
         volumetric=_volumetric,
     )
-
-
-def _apart(name: str, svg: str) -> str:
-    """Names within one figure stay apart from those of the others on the page."""
-    return re.sub(r'(\bid="|url\(#|href="#)', rf"\g<1>{name}-", svg)
 
 
 def files(found: Reproduced, made: Findings) -> dict[str, bytes]:

@@ -22,6 +22,7 @@ from urdf.kinematics import Closure, forward, passive_rates, tool_point_jacobian
 from urdf.rigid_motion import Motion, exp
 
 GRAVITY = 9.80665  # m/s^2
+STANDING = np.array([0.0, 0.0, GRAVITY])  # the specific force where nothing moves [m/s2]
 _SETTLING = 3  # iterations of load and deflection; each gains some four digits
 
 
@@ -66,10 +67,13 @@ class VirtualRobot:
         """Readings (n, n_actuated) that follow each other, from home, on the robot as the campaign left it: warm."""
         return Circumstances(self._approaches(readings), np.ones(len(readings)))
 
-    def close(self, readings: np.ndarray, circumstances: Circumstances | None = None) -> Closure:
+    def close(
+        self, readings: np.ndarray, circumstances: Circumstances | None = None, force: np.ndarray = STANDING
+    ) -> Closure:
         """The true configurations at the actuators' readings (n, n_actuated), and whether the robot can be there.
 
-        circumstances: of the same n readings; None: cold, and every backlash in its middle.
+        circumstances: of the same n readings; None: cold, and every backlash in its middle. force: (3,) or (n, 3) the
+        specific force where the robot stands, in the measurement frame [m/s2]: what the payload weighs, a kilogram.
         """
         chain, errors, sliding = self.robot.chain, self.truth.errors, self._sliding
         joints = self.robot.actuators.joints(readings)
@@ -82,28 +86,35 @@ class VirtualRobot:
         rows = np.flatnonzero(closure.closed)
         if not len(rows):
             return closure
+        force = np.broadcast_to(force, (len(readings), 3))[rows]
         if errors.clearance_mm or errors.clearance_deg:
             # by the load before the shift: near zero load, a sign that followed its own shift would not settle
-            joints[rows] += terms.clearance(errors, sliding, self.load(closure.q[rows]))
+            joints[rows] += terms.clearance(errors, sliding, self.load(closure.q[rows], force))
             closure = closure.replaced(rows, forward(chain, joints[rows], closure.q[rows]))
         if errors.elastic:
             for _ in range(_SETTLING):
-                deflection = terms.deflection(errors, sliding, self.load(closure.q[rows]))
+                deflection = terms.deflection(errors, sliding, self.load(closure.q[rows], force))
                 closure = closure.replaced(rows, forward(chain, joints[rows] + deflection, closure.q[rows]))
         return closure
 
-    def pose(self, readings: np.ndarray, circumstances: Circumstances | None = None) -> Motion:
-        """The true poses (n) in the measurement frame at the actuators' readings (n, n_actuated)."""
-        closure = self.close(readings, circumstances).require(lambda row: f"virtual robot: readings of row {row}")
+    def pose(
+        self, readings: np.ndarray, circumstances: Circumstances | None = None, force: np.ndarray = STANDING
+    ) -> Motion:
+        """The true poses (n) in the measurement frame at the actuators' readings (n, n_actuated); else as `close`."""
+        closure = self.close(readings, circumstances, force)
+        closure = closure.require(lambda row: f"virtual robot: readings of row {row}")
         return self.robot.measured(closure.pose)
 
-    def load(self, q: np.ndarray) -> np.ndarray:
-        """(n, n_actuated) [N, N m]: what the payload's weight puts on each actuator, by virtual work: -m g dz / dq."""
+    def load(self, q: np.ndarray, force: np.ndarray = STANDING) -> np.ndarray:
+        """(n, n_actuated) [N, N m]: what the payload's weight puts on each actuator, by virtual work: -m f dx / dq.
+
+        force: (3,) or (n, 3) as in `close`; standing still, it is g along the instrument's z.
+        """
         chain, errors = self.robot.chain, self.truth.errors
-        up = chain.base.rotation @ self.robot.instrument.rotation.T[:, 2]  # vertical is the instrument's z
+        force = np.broadcast_to(force, (len(q), 3)) @ (chain.base.rotation @ self.robot.instrument.rotation.T).T
         centre = np.array(errors.payload_centre_mm) * 1e-3
-        height = np.einsum("i,nij,njk->nk", up, tool_point_jacobian(chain, q, centre), passive_rates(chain, q))
-        return -errors.payload_kg * GRAVITY * height
+        raised = np.einsum("ni,nij,njk->nk", force, tool_point_jacobian(chain, q, centre), passive_rates(chain, q))
+        return -errors.payload_kg * raised
 
     def _approaches(self, readings: np.ndarray) -> np.ndarray:
         joints = self.robot.actuators.joints

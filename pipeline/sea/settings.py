@@ -17,11 +17,11 @@ SEA_STATES = {3: (0.88, 7.5), 4: (1.88, 8.8), 5: (3.25, 9.7), 6: (5.0, 12.4)}
 Fraction = Annotated[float, Field(gt=0, le=1)]
 
 
-class _Table(BaseModel):
+class Table(BaseModel):
     model_config = ConfigDict(extra="forbid", strict=True, frozen=True, allow_inf_nan=False)
 
 
-class Vessel(_Table):
+class Vessel(Table):
     """A ship by her main dimensions; the default is a supply ship of 6400 t."""
 
     length_m: Positive = 82.8
@@ -55,7 +55,7 @@ class Vessel(_Table):
         return self.roll_period_s or 2 * c * self.beam_m / math.sqrt(self.metacentric_height)
 
 
-class Seaway(_Table):
+class Seaway(Table):
     """What moves the ship: sea, course and speed, and the ship herself."""
 
     sea_state: Literal[3, 4, 5, 6] = 5

@@ -1,0 +1,36 @@
+"""What inertial sensors on a moving body say: white noise, a bias of switch-on, and its slow wander."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.signal import lfilter
+
+from identification.attitude.presets import SensorPreset
+from identification.attitude.settings import Samples
+
+
+def sensed(force: np.ndarray, rate: np.ndarray, rate_hz: float, sensor: SensorPreset, seed: list[int]) -> Samples:
+    """Accelerometers and gyros on true specific force (n, 3) [m/s2] and angular rate (n, 3) [rad/s] in their axes."""
+    random = np.random.default_rng(seed)
+    acceleration = force + _errors(
+        random,
+        len(force),
+        rate_hz,
+        (sensor.acceleration_noise, sensor.acceleration_bias, sensor.acceleration_instability, sensor.instability_s),
+    )
+    gyro = rate + _errors(
+        random,
+        len(rate),
+        rate_hz,
+        (sensor.gyro_noise, sensor.gyro_bias, sensor.gyro_instability, sensor.instability_s),
+    )
+    return Samples(acceleration=acceleration, gyro=gyro)
+
+
+def _errors(random: np.random.Generator, n: int, rate_hz: float, size: tuple[float, float, float, float]) -> np.ndarray:
+    """(n, 3) of a noise density, a bias' sigma, and a first-order Gauss-Markov wander of sigma and correlation time."""
+    density, bias, instability, time = size
+    keep = np.exp(-1 / (rate_hz * time))
+    steps = random.normal(size=(n, 3)) * instability * np.sqrt(1 - keep**2)
+    wander = lfilter([1.0], [1.0, -keep], steps, axis=0)
+    return bias * random.normal(size=3) + wander + density * np.sqrt(rate_hz) * random.normal(size=(n, 3))
