@@ -21,7 +21,7 @@ from identification.attitude.presets import SensorPreset, preset
 from identification.attitude.settings import AttitudeSettings, InnovationStatistics
 from identification.attitude.smoother import smooth_attitude
 from identification.channels import all_turns, parts
-from pipeline.compensation import attempt
+from pipeline.compensation import Attempt, attempt
 from pipeline.methods import Method
 from pipeline.results import RAW
 from pipeline.sea.control import ahead, followed, kept, lag, late, levelling
@@ -32,7 +32,7 @@ from pipeline.virtual_errors import Circumstances
 from pipeline.virtual_robot import STANDING, VirtualRobot
 from urdf.description import Positive, RobotDescription
 from urdf.errors import InputError
-from urdf.rigid_motion import Motion, log, zyx_angles
+from urdf.rigid_motion import Motion, exp, log, zyx_angles
 
 if TYPE_CHECKING:
     from identification.error_model import ErrorModel
@@ -41,6 +41,7 @@ START_S = 120.0  # before the trial: the filter starts cold
 _AT_ONCE = 20_000  # samples: memory
 _OFTEN_HZ = 10.0  # at which the parts of the error are taken apart
 _LEAST_REACHED = 0.5  # of the samples
+_NORMAL = 3  # corrections of a deck's normal, where its heading follows the robot; each gains three digits
 
 
 class Trial(Table):
@@ -85,9 +86,7 @@ class SeaTrial:
     filtered: np.ndarray  # (m, 2) roll, pitch by the filter, at the same time [rad]
     innovations: tuple[InnovationStatistics, ...]  # of that filter, from the cold start on
     methods: tuple[Sailed, ...]
-    parts: Mapping[
-        str, np.ndarray
-    ]  # {part of the error: (c, 3) [rad]}, each alone; calibration stands with the methods
+    parts: Mapping[str, np.ndarray]  # {part of the error: (c, 3) [rad]}, each alone; calibration: see `methods`
     watched: tuple[Watched, ...]
 
 
@@ -102,8 +101,14 @@ class Platform:
     channels: tuple[str, ...]
 
     @property
+    def turns(self) -> bool:
+        """Whether the tool can turn every way."""
+        return {3, 4, 5} <= set(self.model.chain.tool_axes)
+
+    @property
     def full(self) -> bool:
-        return all_turns(self.channels)
+        """Whether the heading is measured, and the deck can keep it."""
+        return self.turns and all_turns(self.channels)
 
     def check(self) -> None:
         """Raises InputError for a robot that can't level a deck, or whose calibration says nothing of it."""
@@ -124,13 +129,19 @@ class Platform:
         return float(zyx_angles(self.methods["geometric"].predict(home).rotation)[0, 0])
 
     def commands(self, method: Method, rotation: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Readings (n, n_actuated) for orientations (n, 3, 3), and which have any; else the last one stands."""
-        desired = Motion(rotation, np.broadcast_to(self._home_position(), (len(rotation), 3)))
-        chain, parts = self.model.chain, []
+        """Readings (n, n_actuated) for orientations (n, 3, 3), and which have any; else the last one stands.
+
+        Of a tool with two axes to turn about, the deck's normal is what is asked for: its heading follows the robot.
+        """
+        position, found = self._home_position(), []
         for first in range(0, len(rotation), _AT_ONCE):
-            tried = attempt(method, desired[first : first + _AT_ONCE], chain, self.model.actuators, self.channels)
-            parts.append((tried.readings, tried.good(chain, self.description.workspace)))
-        readings, good = (np.concatenate(part) for part in zip(*parts, strict=True))
+            wanted = rotation[first : first + _AT_ONCE]
+            tried = self._attempt(method, wanted, position)
+            for _ in range(0 if self.turns else _NORMAL):
+                predicted = method.predict(tried.readings).rotation
+                tried = self._attempt(method, _turned_to(predicted, wanted[:, :, 2]), position)
+            found.append((tried.readings, tried.good(self.model.chain, self.description.workspace)))
+        readings, good = (np.concatenate(part) for part in zip(*found, strict=True))
         if good.mean() < _LEAST_REACHED:
             raise InputError(
                 f"{self.description.name}: {len(good) - good.sum()} of {len(good)} required attitudes are outside of "
@@ -149,9 +160,22 @@ class Platform:
             found.append(self.actual.pose(readings[rows], now, force[rows]).rotation)
         return np.concatenate(found)
 
+    def _attempt(self, method: Method, rotation: np.ndarray, position: np.ndarray) -> Attempt:
+        desired = Motion(rotation, np.broadcast_to(position, (len(rotation), 3)))
+        return attempt(method, desired, self.model.chain, self.model.actuators, self.channels)
+
     def _home_position(self) -> np.ndarray:
         home = self.model.actuators.readings(self.model.chain.home[None, self.model.chain.actuated])
         return self.methods["geometric"].predict(home).translation[0]
+
+
+def _turned_to(rotation: np.ndarray, normal: np.ndarray) -> np.ndarray:
+    """Orientations (n, 3, 3) by the smallest turn so that their z axes are `normal` (n, 3)."""
+    axis = np.cross(rotation[:, :, 2], normal)
+    sine = np.linalg.norm(axis, axis=1, keepdims=True)
+    cosine = np.sum(rotation[:, :, 2] * normal, axis=1, keepdims=True)
+    angle = np.where(sine > 1e-12, np.arctan2(sine, cosine) / np.maximum(sine, 1e-12), 1.0)
+    return exp(axis * angle) @ rotation
 
 
 def sea_trial(platform: Platform, motion: ShipMotion, rate_hz: float, settings: Trial) -> SeaTrial:

@@ -13,6 +13,7 @@ from pipeline.methods import ModelMethod, uncalibrated
 from pipeline.results import RAW
 from pipeline.sea import trial as trials
 from pipeline.sea.configurations import PAPER, configurations
+from pipeline.sea.control import levelling
 from pipeline.sea.settings import Seaway
 from pipeline.sea.synthesis import generated, rao_of
 from pipeline.sea.trial import START_S, Platform, Trial, deck_error, sea_trial
@@ -85,6 +86,20 @@ def test_the_load_follows_the_specific_force(built):
     np.testing.assert_array_equal(once, platform.actual.pose(home, platform.actual.after_campaign(home)).rotation)
     aside = platform.poses(home, np.array([GRAVITY, 0.0, 0.0]))
     assert np.abs(deck_error(once, aside, True)).max() > 1e-7
+
+
+def test_a_tool_with_two_axes_is_asked_for_the_decks_normal(robot):
+    """2-UPS/U, its model without error: level but for the filter, though its heading follows the robot."""
+    drawn = robot("ups2_u")
+    truth = draw(drawn.model, VirtualErrors(elastic=False, screw=False, frame_rotation_deg=5.0), 3)
+    actual = VirtualRobot.of(drawn.model, truth)
+    known = ModelMethod(actual.robot)
+    platform = Platform(drawn.description, drawn.model, actual, {"geometric": known}, ("tilt",))
+    angles = np.deg2rad(np.random.default_rng(0).uniform(-8, 8, (40, 3)))
+    level = levelling(angles, platform.level_yaw())
+    readings, good = platform.commands(known, level)
+    assert good.all()
+    assert np.abs(deck_error(level, platform.poses(readings, STANDING), full=False)).max() < 1e-8
 
 
 def test_only_tilt_counts_without_a_heading():
