@@ -41,7 +41,7 @@ START_S = 120.0  # before the trial: the filter starts cold
 _AT_ONCE = 20_000  # samples: memory
 _OFTEN_HZ = 10.0  # at which the parts of the error are taken apart
 _LEAST_REACHED = 0.5  # of the samples
-_NORMAL = 3  # corrections of a deck's normal, where its heading follows the robot; each gains three digits
+_NORMAL = 3  # corrections of a deck's normal, where its heading follows the robot; each gains two digits
 
 
 class Trial(Table):
