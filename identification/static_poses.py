@@ -34,12 +34,18 @@ class StaticAttitude:
 
 @dataclass(frozen=True)
 class StaticAttitudes:
-    """Attitudes of n poses: angles (n, k) [rad], their variances (n, k) [rad2], used and gated samples (n,)."""
+    """Attitudes of n poses: angles (n, k) [rad], their variances (n, k) [rad2], used and gated samples (n,).
+
+    innovations: (k,) mean of their squares, each in units of its variance: 1 where samples and sigmas fit; of `judged`
+    (k,) samples, good ones that came when their pose was known.
+    """
 
     angles: np.ndarray
     variances: np.ndarray
     used: np.ndarray
     gated: np.ndarray
+    innovations: np.ndarray
+    judged: np.ndarray
 
 
 def static_attitude(t: np.ndarray, samples: np.ndarray, sigma: np.ndarray, settings: Filter) -> StaticAttitude:
@@ -89,7 +95,7 @@ def static_attitudes(
     noise, gates = sigma**2, _gates(k, settings)
     window = _centres(samples, starts, np.minimum(counts, settings.window))
     x, variance = samples[starts], np.full((len(counts), k), _DIFFUSE**2)
-    used = np.zeros(len(counts), dtype=np.int64)
+    used, squares, judged = np.zeros(len(counts), dtype=np.int64), np.zeros(k), np.zeros(k, dtype=np.int64)
     for j, m in enumerate(left):
         row = starts[:m] + j
         sample, v = samples[row], variance[:m] + drifts[row][:, None]
@@ -98,12 +104,15 @@ def static_attitudes(
         good = np.empty((m, k), dtype=bool)
         for part, gate in gates.items():
             good[:, part] = (distance[:, part].sum(axis=1) <= gate)[:, None]
+        squares += np.sum(np.where(good & known, distance, 0.0), axis=0)
+        judged += np.sum(good & known, axis=0)
         gain = np.where(good, v * (1 / (v + noise)), 0.0)
         x[:m] += gain * _wrap(sample - x[:m])
         variance[:m] = (1 - gain) * v * (1 - gain) + gain * noise * gain
         used[:m] += good.all(axis=1)
     back = np.argsort(order)
-    return StaticAttitudes(_wrap(x)[back], variance[back], used[back], (counts - used)[back])
+    mean = squares / np.maximum(judged, 1)
+    return StaticAttitudes(_wrap(x)[back], variance[back], used[back], (counts - used)[back], mean, judged)
 
 
 def _wrap(angle: np.ndarray) -> np.ndarray:

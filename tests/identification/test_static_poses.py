@@ -71,3 +71,13 @@ def test_a_hundred_thousand_samples_a_second():
     began = time.process_time()
     static_attitudes(t, samples, counts, np.full(3, 2e-4), Filter())
     assert counts.sum() / (time.process_time() - began) > 100_000
+
+
+@pytest.mark.parametrize("stated, expected", [(1.0, 1.0), (2.0, 0.25), (0.7, 1 / 0.49)])
+def test_innovations_have_the_size_of_what_was_stated(stated, expected):
+    """Mean squares of white noise in units of the sigma that the filter was told; 4 standard errors."""
+    sigma, counts = 2e-4, np.full(60, 250)
+    t, samples, _ = _recorded(7, counts, 3, sigma, 0.0)
+    found = static_attitudes(t, samples, counts, np.full(3, stated * sigma), Filter(drift_deg_per_sqrt_s=0.0))
+    assert (found.judged > 0.95 * counts.sum()).all()
+    assert found.innovations == pytest.approx(np.full(3, expected), rel=4 * np.sqrt(2 / counts.sum()))
