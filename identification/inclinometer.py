@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pandas as pd
 
 from identification.measurements import UNITS
 from identification.static_poses import static_attitudes
+from identification.streams.campaign import DroppedPose
+from identification.streams.repeats import STUCK
 from urdf.description import Filter, Sensor
 from urdf.errors import InputError
 
 CHANNELS = ("roll", "pitch", "yaw")
-_STUCK = 10  # samples: fewer may well be alike
 _MEDIAN = 0.67449  # of the absolute value of a standard normal variable
 
 
@@ -42,33 +44,77 @@ class _Stretches:
         return _Stretches(self.t[row], self.samples[row], self.pose[which], starts, counts)
 
 
-def filter_stream(stream: pd.DataFrame, poses: np.ndarray, sensor: Sensor, settings: Filter, what: str) -> pd.DataFrame:
-    """One row a pose of `poses` (n,): roll, pitch, tilt_std [rad] (and yaw, yaw_std), used and gated samples.
+@dataclass(frozen=True)
+class FilteredPoses:
+    """rows: one a pose: pose, roll, pitch, tilt_std [rad] (and yaw, yaw_std), used and gated samples."""
 
-    `what` names the stream in messages. Raises InputError for a pose without samples, and for a stuck channel.
+    rows: pd.DataFrame
+    dropped: tuple[DroppedPose, ...]  # that the stream can't tell
+    yaw_stuck: int | None = None  # poses; more than half of all: nothing is behind that channel, it was left out
+
+
+def filter_stream(
+    stream: pd.DataFrame, poses: np.ndarray, sensor: Sensor, settings: Filter, what: str
+) -> FilteredPoses:
+    """The attitudes of `poses` (n,), in their order; those that can't be used are dropped, with the reason.
+
+    `what` names the stream in messages. Raises InputError where half or more of the poses would be dropped.
     """
     channels = [c for c in CHANNELS if c in stream]
     whole = _Stretches.of(stream, channels)
-    sigma = np.array([_sample_sigma(sensor, channel, whole, k) for k, channel in enumerate(channels)])
-    missing = poses[~np.isin(poses, whole.pose)]
-    if len(missing):
-        raise InputError(f"{what}: pose {missing[0]} has no sample; allowed is at least {settings.min_samples}")
-    asked = whole[np.searchsorted(whole.pose, poses)]
-    _check(asked, channels, settings, what)
-    found = static_attitudes(asked.t, asked.samples, asked.counts, sigma, settings)
-    doubtful = np.flatnonzero(found.used < np.maximum(settings.min_samples, found.gated))
-    if len(doubtful):
-        k = doubtful[0]
-        raise InputError(
-            f"{what}: pose {asked.pose[k]}: {found.gated[k]} of {asked.counts[k]} samples are outliers; "
+    seen = np.isin(poses, whole.pose)
+    asked = whole[np.searchsorted(whole.pose, poses[seen])]
+    yaw_stuck = int(_stuck(asked)[:, 2:].sum())
+    if 2 * yaw_stuck > len(asked.pose):
+        without = filter_stream(stream.drop(columns="yaw"), poses, sensor, settings, what)
+        return replace(without, yaw_stuck=yaw_stuck)
+    dropped = dict.fromkeys(poses[~seen].tolist(), f"it has no sample; allowed is at least {settings.min_samples}")
+    dropped |= _unusable(asked, channels, settings)
+    _require(dropped, poses, what)
+    usable = asked[np.flatnonzero(~np.isin(asked.pose, list(dropped)))]
+    noisy = whole[np.flatnonzero(~np.isin(whole.pose, list(dropped)))]
+    sigma = np.array([_sample_sigma(sensor, channel, noisy, k) for k, channel in enumerate(channels)])
+    found = static_attitudes(usable.t, usable.samples, usable.counts, sigma, settings)
+    good = found.used >= np.maximum(settings.min_samples, found.gated)
+    for k in np.flatnonzero(~good):
+        dropped[usable.pose[k]] = (
+            f"{found.gated[k]} of {usable.counts[k]} samples are outliers; "
             f"allowed are fewer than half, and at least {settings.min_samples} good samples"
         )
-    angles, variances = found.angles, found.variances
+    _require(dropped, poses, what)
+    angles, variances, pose = found.angles[good], found.variances[good], usable.pose[good].astype(np.int64)
     tilt_std = np.sqrt(variances[:, :2].mean(axis=1))
-    rows = {"pose": asked.pose.astype(np.int64), "roll": angles[:, 0], "pitch": angles[:, 1], "tilt_std": tilt_std}
+    rows = {"pose": pose, "roll": angles[:, 0], "pitch": angles[:, 1], "tilt_std": tilt_std}
     if "yaw" in channels:
         rows |= {"yaw": angles[:, 2], "yaw_std": np.sqrt(variances[:, 2])}
-    return pd.DataFrame(rows | {"used": found.used, "gated": found.gated})
+    rows |= {"used": found.used[good], "gated": found.gated[good]}
+    return FilteredPoses(pd.DataFrame(rows), _in_order(dropped, poses))
+
+
+def _unusable(stretches: _Stretches, channels: list[str], settings: Filter) -> dict[int, str]:
+    """Poses with too few samples or a stuck channel, and why."""
+    samples, counts = stretches.samples, stretches.counts
+    few = np.flatnonzero(counts < settings.min_samples)
+    found = {stretches.pose[k]: f"it has {counts[k]} samples; allowed is at least {settings.min_samples}" for k in few}
+    for k, channel in np.argwhere(_stuck(stretches)):
+        value = samples[stretches.starts[k], channel] / UNITS["deg"]
+        reason = f"channel {channels[channel]!r} is stuck at {value:.6g} degrees for all {counts[k]} samples"
+        found.setdefault(stretches.pose[k], reason)
+    return found
+
+
+def _in_order(dropped: Mapping[int, str], poses: np.ndarray) -> tuple[DroppedPose, ...]:
+    return tuple(DroppedPose(p, dropped[p]) for p in poses.tolist() if p in dropped)
+
+
+def _require(dropped: Mapping[int, str], poses: np.ndarray, what: str) -> None:
+    """Refuse a stream that tells less than half of the poses."""
+    if dropped and 2 * len(dropped) >= len(poses):
+        first = _in_order(dropped, poses)[0]
+        raise InputError(
+            f"{what}: {len(dropped)} of {len(poses)} poses can't be used; allowed are fewer than half; "
+            f"the first is pose {first.pose}: {first.reason}"
+        )
 
 
 def _sample_sigma(sensor: Sensor, channel: str, stretches: _Stretches, k: int) -> float:
@@ -82,18 +128,10 @@ def _sample_sigma(sensor: Sensor, channel: str, stretches: _Stretches, k: int) -
     return estimate or sensor.sigma(kind)
 
 
-def _check(stretches: _Stretches, channels: list[str], settings: Filter, what: str) -> None:
-    few = np.flatnonzero(stretches.counts < settings.min_samples)
-    if len(few):
-        pose, count = stretches.pose[few[0]], stretches.counts[few[0]]
-        raise InputError(f"{what}: pose {pose} has {count} samples; allowed is at least {settings.min_samples}")
+def _stuck(stretches: _Stretches) -> np.ndarray:
+    """(m, k) whether a channel has one value for all of a pose's samples."""
     samples, starts = stretches.samples, stretches.starts
+    if not len(starts):
+        return np.zeros((0, samples.shape[1]), dtype=bool)
     same = np.maximum.reduceat(samples, starts) == np.minimum.reduceat(samples, starts)
-    stuck = np.argwhere(same & (stretches.counts >= _STUCK)[:, None])
-    if len(stuck):
-        pose, k = stuck[0]
-        raise InputError(
-            f"{what}: pose {stretches.pose[pose]}: channel {channels[k]!r} is stuck at "
-            f"{samples[starts[pose], k] / UNITS['deg']:.6g} degrees for all {stretches.counts[pose]} samples; "
-            f"allowed is a sensor that moves with its noise"
-        )
+    return same & (stretches.counts >= STUCK)[:, None]

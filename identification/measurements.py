@@ -163,14 +163,13 @@ def readable(file: Path) -> Iterator[None]:
         raise InputError(f"{file}: not a table that can be read: {' '.join(str(error).split())[:200]}") from None
 
 
-def numbers(values: Sequence[object], column: Column, file: Path, first: int = 0) -> np.ndarray:
-    """Column values as finite numbers in SI units; `first`: rows before them. Raises InputError that names the row."""
+def numbers(values: Sequence[object], column: Column, file: Path) -> np.ndarray:
+    """Column values as finite numbers in SI units. Raises InputError that names the row."""
     found = np.array(pd.to_numeric(pd.Series(values), errors="coerce"), dtype=float)
     bad = np.flatnonzero(~np.isfinite(found) | np.array([isinstance(value, bool) for value in values], dtype=bool))
     if len(bad):
         raise InputError(
-            f"{file}: column {column.source!r}, row {first + bad[0] + 1}: found {values[bad[0]]!r}; "
-            "allowed are finite numbers"
+            f"{file}: column {column.source!r}, row {bad[0] + 1}: found {values[bad[0]]!r}; allowed are finite numbers"
         )
     return found * UNITS[column.unit]
 

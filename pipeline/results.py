@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from identification.identification import Identification
-from identification.streams.campaign import Campaign
+from identification.streams.campaign import Campaign, DroppedPose
 from learning.correction import Correction
 from learning.network import Network
 from learning.units import Inherited
@@ -86,7 +86,7 @@ class Measured:
     table: Frame
     stream: Frame | None
     truth: Truth | None
-    campaign: Campaign | None = None  # where the stream is a log, and the poses were found in it
+    campaign: Campaign | None = None  # where the stream was read from a file
 
     @property
     def warnings(self) -> tuple[str, ...]:
@@ -100,6 +100,18 @@ class Filtered:
     table: Frame
     used: int  # samples of the streams; 0 where there were none
     gated: int  # samples taken for outliers
+    dropped: tuple[DroppedPose, ...] = ()  # poses that the streams don't tell
+    yaw_stuck: int | None = None  # poses whose yaw never changes, where that channel was left out
+
+    @property
+    def findings(self) -> tuple[str, ...]:
+        if self.yaw_stuck is None:
+            return ()
+        return (f"channel 'yaw' is left out: it never changes in {self.yaw_stuck} poses",)
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        return (*self.findings, *map(str, self.dropped))
 
 
 @dataclass(frozen=True)

@@ -142,15 +142,20 @@ def measure(
 
 
 def filter(measured: Measured, filter: Filter, sensor: Sensor) -> Filtered:
-    """Raw streams -> one row a pose, by the extended Kalman filter; a table without streams goes through as it is."""
+    """Raw streams -> one row a pose, by the extended Kalman filter; a table without streams goes through as it is.
+
+    Poses that a stream does not tell are left out.
+    """
     if measured.stream is None:
         return Filtered(measured.table, 0, 0)
     from identification.inclinometer import filter_stream
 
     table = measured.table
-    rows = filter_stream(measured.stream, table["pose"].to_numpy(), sensor, filter, f"stream ({measured.source})")
-    used, gated = (int(rows[name].to_numpy().sum()) for name in ("used", "gated"))
-    return Filtered(table.merge(rows.drop(columns=["used", "gated"]), on="pose", validate="1:1"), used, gated)
+    found = filter_stream(measured.stream, table["pose"].to_numpy(), sensor, filter, f"stream ({measured.source})")
+    used, gated = (int(found.rows[name].to_numpy().sum()) for name in ("used", "gated"))
+    rows = found.rows.drop(columns=["used", "gated"])
+    table = table.merge(rows, on="pose", validate="1:1")
+    return Filtered(table, used, gated, found.dropped, found.yaw_stuck)
 
 
 def identify(
@@ -400,6 +405,7 @@ def report(
 def _from_files(chain: ClosedChain, nominal: ErrorModel, measure: Measure, tolerance: Tolerance) -> Measured:
     """Static poses as a table; joint values and a stream that names poses; or a log and the commands of its time."""
     from identification.measurements import check_readings, read_table
+    from identification.streams.campaign import Campaign
     from identification.streams.reading import read_stream
     from identification.streams.static_poses import static_poses
 
@@ -411,8 +417,10 @@ def _from_files(chain: ClosedChain, nominal: ErrorModel, measure: Measure, toler
     settings = measure if measure.streams is None else measure.of_columns(("pose", *chain.actuated_names))
     table = read_table(measure.table, chain.actuated_names, settings, measured=measure.streams is None)
     check_readings(table, chain, nominal.actuators, tolerance, measure.table)
-    stream = None if measure.streams is None else read_stream(measure.streams, measure)
-    return Measured((measure.streams or measure.table).name, table, stream, None)
+    if measure.streams is None:
+        return Measured(measure.table.name, table, None, None)
+    stream, health = read_stream(measure.streams, measure)
+    return Measured(health.file, table, stream, None, Campaign(health, None, len(table), len(table), ()))
 
 
 def error_model(model: Model, tolerance: Tolerance, actuator: dict[str, Actuator]) -> ErrorModel:

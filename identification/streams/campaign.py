@@ -1,4 +1,4 @@
-"""How a campaign went whose poses were found in a sensor's log: what a report says of it."""
+"""How a campaign went that was measured by a sensor's stream: what a report says of it."""
 
 from __future__ import annotations
 
@@ -11,6 +11,9 @@ from identification.streams.health import StreamHealth
 class DroppedPose:
     pose: int
     reason: str
+
+    def __str__(self) -> str:
+        return f"pose {self.pose} was left out: {self.reason}"
 
 
 @dataclass(frozen=True)
@@ -25,7 +28,7 @@ class ClockOffset:
 @dataclass(frozen=True)
 class Campaign:
     health: StreamHealth
-    offset: ClockOffset
+    offset: ClockOffset | None  # None: the stream says itself which pose a sample is of
     commanded: int  # poses
     kept: int
     dropped: tuple[DroppedPose, ...]
@@ -33,6 +36,8 @@ class Campaign:
     @property
     def summary(self) -> str:
         offset, health = self.offset, self.health
+        if offset is None:
+            return f"{health.file} ({health.format}): {health.samples} good samples, for {self.commanded} poses."
         found = f"found from {offset.paired} motions, scatter {offset.scatter:.2f} s" if offset.paired else "as stated"
         return (
             f"{health.file} ({health.format}): {health.samples} good samples; its clock is {offset.seconds:.2f} s "
@@ -43,4 +48,4 @@ class Campaign:
     def warnings(self) -> tuple[str, ...]:
         """One line each."""
         said = [f"{self.health.file}: {line}" for line in self.health.lines()]
-        return (*said, *(f"pose {d.pose} was left out: {d.reason}" for d in self.dropped))
+        return (*said, *map(str, self.dropped))

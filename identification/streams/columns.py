@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from identification.measurements import UNITS, numbers
+from identification.measurements import UNITS
 from urdf.description import Column, Measure
 from urdf.errors import InputError
 
@@ -18,14 +18,14 @@ OPTIONAL = ("yaw", *(f"{sensor}_{axis}" for sensor in ("gyro", "acc") for axis i
 ANGLES = ("roll", "pitch", "yaw")
 
 
-def mapped(found: Sequence[str], measure: Measure, file: Path, prepared: bool) -> dict[str, Column]:
+def mapped(found: Sequence[str], measure: Measure, file: Path, by_pose: bool) -> dict[str, Column]:
     """{kincal's name: the file's column and unit} of a stream file with columns `found`.
 
-    prepared: a `pose` column must say which pose each sample is of. Raises InputError for a missing column.
+    by_pose: a `pose` column must say which pose each sample is of. Raises InputError for a missing column.
     """
-    needed = (*REQUIRED, "pose") if prepared else REQUIRED
+    needed = (*REQUIRED, "pose") if by_pose else REQUIRED
     columns = {}
-    for name in ("t", "pose", "roll", "pitch", *OPTIONAL) if prepared else (*REQUIRED, *OPTIONAL):
+    for name in ("t", "pose", "roll", "pitch", *OPTIONAL) if by_pose else (*REQUIRED, *OPTIONAL):
         column = measure.columns.get(name, Column.model_validate({"from": name}))
         if column.source not in found and name in found:  # a canonical stream needs no map
             column = Column.model_validate({"from": name})
@@ -38,18 +38,14 @@ def mapped(found: Sequence[str], measure: Measure, file: Path, prepared: bool) -
     return columns
 
 
-def strictly(raw: pd.DataFrame, columns: dict[str, Column], file: Path, first: int) -> pd.DataFrame:
-    """A prepared stream's rows, `first` rows before them: InputError for what is no number."""
-    return pd.DataFrame({k: numbers(raw[c.source].tolist(), c, file, first) for k, c in columns.items()})
-
-
-def leniently(raw: pd.DataFrame, columns: dict[str, Column]) -> pd.DataFrame:
-    """A log's rows: NaN for what is no number; t may be ISO 8601."""
+def values(raw: pd.DataFrame, columns: dict[str, Column]) -> pd.DataFrame:
+    """A stream's rows: NaN for what is no number; t may be ISO 8601."""
     found = {}
     for name, column in columns.items():
         written = pd.Series(raw[column.source])
-        values = np.array(pd.to_numeric(written, errors="coerce"), dtype=float)
-        found[name] = (times(written, values) if name == "t" else values) * UNITS[column.unit]
+        read = np.array(pd.to_numeric(written, errors="coerce"), dtype=float)
+        with np.errstate(over="ignore"):  # of numbers that are too large anyway
+            found[name] = (times(written, read) if name == "t" else read) * UNITS[column.unit]
     return pd.DataFrame(found)
 
 

@@ -12,16 +12,18 @@ _FAULTS = {
     "checksum": "fail their checksum",
     "untimed": "come before any time",
     "not_finite": "have no number for t, roll or pitch",
+    "unposed": "have no whole number for pose",
     "jumped": "have a time far ahead that the next ones deny",
     "repeated": "repeat a time",
     "backwards": "run back in time",
     "frozen": "have a stuck or saturated roll or pitch",
+    "incomplete": "lack a channel that most have",
 }
 
 
 @dataclass(frozen=True)
 class StreamHealth:
-    """Counts of a whole file: read = samples + other + garbage + .. + frozen."""
+    """Counts of a whole file: read = samples + other + garbage + .. + incomplete."""
 
     file: str
     format: str
@@ -32,13 +34,16 @@ class StreamHealth:
     checksum: int
     untimed: int
     not_finite: int
+    unposed: int  # of a stream with a pose column, as `incomplete` and `sparse`
     jumped: int
     repeated: int
     backwards: int
     frozen: int
+    incomplete: int
     stuck: dict[str, int]  # samples a channel: it repeats one value for longer than its resolution explains
     saturated: dict[str, int]  # the same at the channel's largest or smallest value
     constant: tuple[str, ...]  # channels that never change
+    sparse: tuple[str, ...]  # channels that were left out, since many samples lack them
     gaps: int  # longer than five sample intervals
     longest_gap: float  # [s]
     clock_steps: int  # the clock was set back; later times are shifted to run on
@@ -54,12 +59,12 @@ class StreamHealth:
         for text, counts in (("stuck", self.stuck), ("saturated", self.saturated)):
             said += [f"channel {channel!r} is {text} for {n} samples" for channel, n in counts.items()]
         said += [f"channel {channel!r} never changes" for channel in self.constant]
+        said += [f"channel {channel!r} is left out: too many samples lack it" for channel in self.sparse]
         if self.gaps:
             said.append(f"{self.gaps} gaps, the longest {self.longest_gap:.3g} s")
         if self.clock_steps:
-            said.append(
-                f"the clock was set back {self.clock_steps} times; later times were shifted by {self.shift:.6g} s"
-            )
+            shifted = f"; later times were shifted by {self.shift:.6g} s" if self.shift else ""
+            said.append(f"the clock was set back {self.clock_steps} times{shifted}")
         return tuple(said)
 
     def require(self, file: Path) -> StreamHealth:
@@ -84,13 +89,16 @@ class Tally:
     checksum: int = 0
     untimed: int = 0
     not_finite: int = 0
+    unposed: int = 0
     jumped: int = 0
     repeated: int = 0
     backwards: int = 0
     frozen: int = 0
+    incomplete: int = 0
     stuck: dict[str, int] = field(default_factory=dict)
     saturated: dict[str, int] = field(default_factory=dict)
     constant: tuple[str, ...] = ()
+    sparse: tuple[str, ...] = ()
     gaps: int = 0
     longest_gap: float = 0.0
     clock_steps: int = 0

@@ -1,9 +1,9 @@
-"""A sensor's log, whatever its format, as chunks of good samples; memory does not grow with the file."""
+"""A sensor's stream, whatever its format, as chunks of good samples. A log takes no more memory where it is longer."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -12,13 +12,14 @@ import pandas as pd
 from identification.streams import bags, nmea, tables
 from identification.streams.columns import OPTIONAL, REQUIRED
 from identification.streams.health import StreamHealth, Tally
+from identification.streams.pose_column import all_of_pose, in_order, not_revisited, whole_numbers
 from identification.streams.repeats import Repeats
 from identification.streams.timeline import Timeline
 from urdf.description import Measure
 from urdf.errors import InputError
 
 _MOSTLY = 0.9  # of the samples: an optional channel that fewer have is left out
-_FARTHEST = 1e12  # [s] beyond it a time is no time
+_FARTHEST = 1e12  # beyond it a number is no time, no angle, nor a pose's
 
 
 @dataclass
@@ -26,42 +27,36 @@ class Stream:
     """Chunks of t [s], roll, pitch [rad] and what else the file has (see OPTIONAL; NaN where a sample lacks it).
 
     After the last chunk `health` says what was wrong; InputError then for a file that is mostly garbage. A file with a
-    pose column is one that was prepared: it is read as it is, `pose` with it, and any bad value is an InputError.
+    pose column comes in one chunk, `pose` with it, and complete.
     """
 
     file: Path
     measure: Measure
     form: str
-    prepared: bool
+    by_pose: bool
     _tally: Tally = field(default_factory=Tally)
     _repeats: dict[str, Repeats] = field(default_factory=dict)
     _health: StreamHealth | None = None
 
     def __iter__(self) -> Iterator[pd.DataFrame]:
         self._tally, self._repeats, self._health = Tally(), {}, None
-        for chunk in self._prepared() if self.prepared else self._cleaned():
+        for chunk in self._by_pose() if self.by_pose else self._cleaned():
             self._tally.samples += len(chunk)
             yield chunk
         self._tally.constant = tuple(name for name, channel in self._repeats.items() if channel.constant)
-        health = self._tally.health(self.file.name, self.form)
-        self._health = health if self.prepared else health.require(self.file)
+        self._health = self._tally.health(self.file.name, self.form).require(self.file)
 
     @property
     def health(self) -> StreamHealth:
         assert self._health is not None, "the stream was not read to its end"
         return self._health
 
-    def _prepared(self) -> Iterator[pd.DataFrame]:
-        for chunk in tables.prepared(self.file, self.measure, self.form):
-            self._tally.read += len(chunk)
-            yield chunk
-
     def _raw(self) -> Iterator[pd.DataFrame]:
         if self.form == "nmea":
             return nmea.logged(self.file, self.measure.log, self._tally)
         if self.form == "bag":
             return bags.logged(self.file, self.measure, self._tally)
-        return tables.logged(self.file, self.measure, self.form, self._tally)
+        return tables.logged(self.file, self.measure, self.form, self.by_pose, self._tally)
 
     def _cleaned(self) -> Iterator[pd.DataFrame]:
         timeline = Timeline(self._tally)
@@ -71,21 +66,45 @@ class Stream:
         if raw is not None:
             yield self._unfrozen(timeline.feed(raw.iloc[:0], final=True))
 
+    def _by_pose(self) -> Iterator[pd.DataFrame]:
+        """All samples at once: a pose's may stand anywhere in the file."""
+        whole = together([self._posed(self._finite(raw)) for raw in self._raw()])
+        if not len(whole):
+            return
+        unfrozen = self._unfrozen(in_order(whole, self._tally))
+        found = complete(unfrozen)
+        self._tally.incomplete = len(unfrozen) - len(found)
+        self._tally.sparse = tuple(str(name) for name in unfrozen if name not in found)
+        yield found
+
     def _finite(self, chunk: pd.DataFrame) -> pd.DataFrame:
-        values = chunk[list(REQUIRED)].to_numpy(float)
-        good = np.isfinite(values).all(axis=1) & (np.abs(values[:, 0]) < _FARTHEST)
+        far = np.abs(chunk.to_numpy(float)) >= _FARTHEST
+        if far.any():
+            chunk = chunk.mask(far)
+        good = np.isfinite(chunk[list(REQUIRED)].to_numpy(float)).all(axis=1)
         self._tally.not_finite += int((~good).sum())
+        return chunk.iloc[good]
+
+    def _posed(self, chunk: pd.DataFrame) -> pd.DataFrame:
+        good = whole_numbers(chunk["pose"].to_numpy(float))
+        self._tally.unposed += int((~good).sum())
         return chunk.iloc[good]
 
     def _unfrozen(self, chunk: pd.DataFrame) -> pd.DataFrame:
         """Without samples of a stuck or saturated roll or pitch; other channels lose the value alone."""
         frozen, tally = np.zeros(len(chunk), dtype=bool), self._tally
-        for name in [c for c in chunk if c != "t"]:
-            marked = self._repeats.setdefault(str(name), Repeats()).mark(chunk[name].to_numpy(float))
-            for counts, bad in zip((tally.stuck, tally.saturated), marked, strict=True):
+        pose = chunk["pose"].to_numpy(float) if self.by_pose else None
+        for name in [c for c in chunk if c not in ("t", "pose")]:
+            values = chunk[name].to_numpy(float)
+            stuck, saturated = self._repeats.setdefault(str(name), Repeats()).mark(values)
+            if pose is not None:
+                stuck = not_revisited(stuck, values, pose)
+            for counts, bad in ((tally.stuck, stuck), (tally.saturated, saturated)):
                 if bad.any():
                     counts[str(name)] = counts.get(str(name), 0) + int(bad.sum())
-            either = marked[0] | marked[1]
+            either = stuck | saturated
+            if pose is not None:
+                either &= ~all_of_pose(either, pose)
             if name in REQUIRED:
                 frozen |= either
             elif either.any():
@@ -102,30 +121,28 @@ def open_stream(file: Path, measure: Measure) -> Stream:
     form = measure.log.format or _format(file)
     table = form in ("csv", "parquet")
     # with a command log, time says which pose a sample is of
-    prepared = table and measure.commands is None and tables.has_pose(file, measure, form)
-    return Stream(file, measure, form, prepared)
+    by_pose = table and measure.commands is None and tables.has_pose(file, measure, form)
+    return Stream(file, measure, form, by_pose)
 
 
 def read_log(file: Path, measure: Measure) -> tuple[pd.DataFrame, StreamHealth]:
     """A whole stream: the samples of all chunks together, and what was wrong with the file.
 
-    A log's optional channel is kept where nine samples in ten have it, and then those without it are left out.
+    An optional channel is kept where nine samples in ten have it, and then those without it are left out.
     """
     stream = open_stream(file, measure)
-    whole = together(list(stream))
-    return whole if stream.prepared else complete(whole), stream.health
+    return complete(together(list(stream))), stream.health
 
 
-def read_stream(file: Path, measure: Measure) -> pd.DataFrame:
-    """A stream that says of each sample which pose it is of. Raises InputError for any other, and as `read_table`."""
+def read_stream(file: Path, measure: Measure) -> tuple[pd.DataFrame, StreamHealth]:
+    """A stream that says of each sample which pose it is of, and its health. Raises InputError for any other stream."""
     stream = open_stream(file, measure)
-    if not stream.prepared:
-        if stream.form in ("csv", "parquet"):
-            list(tables.prepared(file, measure, stream.form))  # says what is missing
+    if stream.form not in ("csv", "parquet"):
         raise InputError(
             f"{file}: a {stream.form} log does not say which pose a sample is of; set measure.commands to a command log"
         )
-    return together(list(stream))
+    by_pose = replace(stream, by_pose=True)  # a missing pose column is said as any other
+    return together(list(by_pose)), by_pose.health
 
 
 def together(chunks: list[pd.DataFrame]) -> pd.DataFrame:

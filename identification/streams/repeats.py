@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 _IMPROBABLE = math.log(1e-9)
-_STUCK, _SATURATED = 10, 5  # samples: fewer are never taken for it
+STUCK, _SATURATED = 10, 5  # samples: fewer are never taken for it
 _NEVER = 50  # samples of one value in all: worth saying
 
 
@@ -45,7 +45,7 @@ class Repeats:
         extreme = ((value == self.high) | (value == self.low)) & (self.high > self.low)
         allowed = self._longest
         saturated = extreme & (whole >= max(_SATURATED, allowed))
-        stuck = ~saturated & (whole >= max(_STUCK, allowed))
+        stuck = ~saturated & (whole >= max(STUCK, allowed))
         return np.repeat(stuck, lengths), np.repeat(saturated, lengths)
 
     @property

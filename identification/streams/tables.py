@@ -1,8 +1,4 @@
-"""Streams in CSV and Parquet, in chunks.
-
-A file with a `pose` column was prepared by somebody: every value must be right, as in a measurement table. One without
-is a log: what is wrong is counted and left out.
-"""
+"""Streams in CSV and Parquet, in chunks."""
 
 from __future__ import annotations
 
@@ -11,53 +7,32 @@ from collections.abc import Iterator
 from io import BytesIO
 from itertools import islice
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import BinaryIO
 
-import numpy as np
 import pandas as pd
 
 from identification.measurements import header, readable
-from identification.streams.columns import leniently, mapped, strictly
+from identification.streams.columns import mapped, values
 from identification.streams.health import Tally
 from urdf.description import Measure
-from urdf.errors import InputError
 
 ROWS = 50_000  # a chunk
 _LONGEST = 1 << 16  # bytes of a line: beyond it is garbage
 
 
-def prepared(file: Path, measure: Measure, form: str) -> Iterator[pd.DataFrame]:
-    """Chunks of a stream with a pose column. InputError for values that are no numbers and time that runs backwards."""
-    first, last = 0, -np.inf
+def logged(file: Path, measure: Measure, form: str, by_pose: bool, tally: Tally) -> Iterator[pd.DataFrame]:
+    """Chunks of a stream; what is no number is NaN, and lines with too few or too many fields are counted as garbage.
+
+    by_pose: it must have a pose column. Raises InputError for a missing column.
+    """
     with readable(file):
         names = _names(file, measure, form)
-        columns = mapped(names, measure, file, prepared=True)
-        sources = [c.source for c in columns.values()]
-        for raw in _parquet(file, sources) if form == "parquet" else _whole_csv(file, measure):
-            chunk = strictly(raw, columns, file, first)
-            t = np.concatenate([[last], chunk["t"]])
-            backwards = np.flatnonzero(np.diff(t) < 0)
-            if len(backwards):
-                k = backwards[0]
-                raise InputError(
-                    f"{file}: column 't', row {first + k + 1}: time runs backwards, from {t[k]:g} to {t[k + 1]:g} s"
-                )
-            first, last = first + len(chunk), t[-1]
-            yield chunk
-    if not first:
-        yield pd.DataFrame({name: np.zeros(0) for name in columns})
-
-
-def logged(file: Path, measure: Measure, form: str, tally: Tally) -> Iterator[pd.DataFrame]:
-    """Chunks of a log; what is no number is NaN, and lines with too few or too many fields are counted as garbage."""
-    with readable(file):
-        names = _names(file, measure, form)
-        columns = mapped(names, measure, file, prepared=False)
+        columns = mapped(names, measure, file, by_pose)
         sources = [c.source for c in columns.values()]
         for raw in _parquet(file, sources) if form == "parquet" else _csv(file, measure, names, sources, tally):
             if form == "parquet":
                 tally.read += len(raw)
-            yield leniently(raw, columns)
+            yield values(raw, columns)
 
 
 def _names(file: Path, measure: Measure, form: str) -> list[str]:
@@ -85,13 +60,6 @@ def _parquet(file: Path, columns: list[str]) -> Iterator[pd.DataFrame]:
             yield batch.to_pandas()
 
 
-def _whole_csv(file: Path, measure: Measure) -> Iterator[pd.DataFrame]:
-    options: dict[str, Any] = {"sep": measure.separator, "decimal": measure.decimal, "skipinitialspace": True}
-    chunks: Any = pd.read_csv(file, chunksize=ROWS, **options)
-    with chunks:
-        yield from chunks
-
-
 def _csv(file: Path, measure: Measure, names: list[str], wanted: list[str], tally: Tally) -> Iterator[pd.DataFrame]:
     separator = measure.separator.encode()
     with open(file, "rb") as stream:
@@ -100,7 +68,7 @@ def _csv(file: Path, measure: Measure, names: list[str], wanted: list[str], tall
             good = [line for line in block if _whole(line, separator, len(names))]
             tally.read, tally.garbage = tally.read + len(block), tally.garbage + len(block) - len(good)
             if good:
-                yield pd.read_csv(
+                found = pd.read_csv(
                     BytesIO(b"\n".join(good)),
                     header=None,
                     names=names,
@@ -111,6 +79,13 @@ def _csv(file: Path, measure: Measure, names: list[str], wanted: list[str], tall
                     encoding_errors="replace",
                     low_memory=False,
                 )
+                yield _with_points(found) if measure.decimal == "," else found
+
+
+def _with_points(found: pd.DataFrame) -> pd.DataFrame:
+    """Columns that one cell made text, with decimal points: only pandas' parser of whole columns knows commas."""
+    text = [name for name in found if not pd.api.types.is_numeric_dtype(found[name])]
+    return found.assign(**{name: found[name].str.replace(",", ".", regex=False) for name in text})
 
 
 def _lines(stream: BinaryIO) -> Iterator[bytes]:
@@ -127,4 +102,5 @@ def _whole(line: bytes, separator: bytes, fields: int) -> bool:
             return False
         found = next(csv.reader([line.decode(errors="replace").replace("\0", "")], delimiter=separator.decode()))
         return len(found) == fields and b"\0" not in line and b"\r" not in line
-    return line.count(separator) == fields - 1 and b"\0" not in line and b"\r" not in line
+    count = len(line.split()) if separator == b" " else line.count(separator) + 1
+    return count == fields and b"\0" not in line and b"\r" not in line

@@ -19,7 +19,7 @@ from identification.streams.health import Tally
 
 CONFIRMED = 10  # samples in a row that agree with each other: a clock, not a wrong stamp
 GAP = 5.0  # sample intervals
-_STEP = 1.0  # [s] a smaller step back costs its samples alone
+STEP = 1.0  # [s] a smaller step back costs its samples alone
 
 
 @dataclass
@@ -28,10 +28,11 @@ class Timeline:
     interval: float | None = None  # [s] median of the first samples
     last: float = -np.inf
     shift: float = 0.0
+    repeating: bool = False  # a time may come again
     held: list[pd.DataFrame] = field(default_factory=list)  # a short piece at the end: what follows decides
 
-    def feed(self, chunk: pd.DataFrame, final: bool = False) -> pd.DataFrame:
-        """The samples of a chunk that can stay, with increasing t; `final`: nothing follows."""
+    def feed(self, chunk: pd.DataFrame, final: bool = False, following: float | None = None) -> pd.DataFrame:
+        """The samples of a chunk that can stay, with increasing t; `final`: nothing follows, or a time elsewhere."""
         chunk = pd.concat([*self.held, chunk]) if self.held else chunk
         self.held = []
         t = chunk["t"].to_numpy(float)
@@ -41,16 +42,19 @@ class Timeline:
         steps = np.diff(t)
         if self.interval is None and (steps > 0).any():
             self.interval = float(np.median(steps[steps > 0]))
-        cuts = np.flatnonzero((steps <= 0) | (steps > self._limit)) + 1
+        cuts = np.flatnonzero(self._back(steps) | (steps > self._limit)) + 1
         bounds = np.concatenate([[0], cuts, [len(t)]]).astype(int)
         if not final and bounds[-1] - bounds[-2] < CONFIRMED:
             self.held = [chunk.iloc[bounds[-2] :]]
             bounds = bounds[:-1]
         times, keep = np.empty(len(t)), np.zeros(len(t), dtype=bool)
         for begin, end in pairwise(bounds):
-            following = float(t[end]) if end < len(t) else None
-            times[begin:end], keep[begin:end] = self._piece(t[begin:end], following)
+            after = float(t[end]) if end < len(t) else following
+            times[begin:end], keep[begin:end] = self._piece(t[begin:end], after)
         return chunk.iloc[keep].assign(t=times[keep])
+
+    def _back(self, steps: np.ndarray) -> np.ndarray:
+        return steps < 0 if self.repeating else steps <= 0
 
     @property
     def _limit(self) -> float:
@@ -66,12 +70,12 @@ class Timeline:
             if np.isfinite(ahead):
                 tally.gaps += 1
                 tally.longest_gap = max(tally.longest_gap, float(ahead))
-        elif len(t) >= CONFIRMED and -ahead >= max(_STEP, self._limit):
+        elif len(t) >= CONFIRMED and -ahead >= max(STEP, self._limit):
             step = (self.interval or 0.0) - ahead
             self.shift, tally.shift, tally.clock_steps = self.shift + step, tally.shift + step, tally.clock_steps + 1
             times = times + step
-        keep = times > self.last
-        tally.repeated += int((times == self.last).sum())
+        keep = ~self._back(times - self.last)
+        tally.repeated += int((times[~keep] == self.last).sum())
         tally.backwards += int((times < self.last).sum())
         if keep.any():
             self.last = float(times[-1])
