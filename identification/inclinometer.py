@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pandas as pd
 
+from identification.innovations import StaticInnovations
 from identification.measurements import UNITS
 from identification.static_poses import static_attitudes
 from identification.streams.campaign import DroppedPose
@@ -50,6 +51,7 @@ class FilteredPoses:
 
     rows: pd.DataFrame
     dropped: tuple[DroppedPose, ...]  # that the stream can't tell
+    innovations: tuple[StaticInnovations, ...] = ()
     yaw_stuck: int | None = None  # poses; more than half of all: nothing is behind that channel, it was left out
 
 
@@ -88,7 +90,9 @@ def filter_stream(
     if "yaw" in channels:
         rows |= {"yaw": angles[:, 2], "yaw_std": np.sqrt(variances[:, 2])}
     rows |= {"used": found.used[good], "gated": found.gated[good]}
-    return FilteredPoses(pd.DataFrame(rows), _in_order(dropped, poses))
+    innovations = zip(channels, found.innovations.tolist(), found.judged.tolist(), strict=True)
+    told = tuple(StaticInnovations(*each) for each in innovations if each[2])
+    return FilteredPoses(pd.DataFrame(rows), _in_order(dropped, poses), told)
 
 
 def _unusable(stretches: _Stretches, channels: list[str], settings: Filter) -> dict[int, str]:

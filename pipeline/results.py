@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from identification.identification import Identification
+from identification.innovations import StaticInnovations
 from identification.streams.campaign import Campaign, DroppedPose
 from learning.correction import Correction
 from learning.network import Network
@@ -101,13 +102,15 @@ class Filtered:
     used: int  # samples of the streams; 0 where there were none
     gated: int  # samples taken for outliers
     dropped: tuple[DroppedPose, ...] = ()  # poses that the streams don't tell
+    innovations: tuple[StaticInnovations, ...] = ()
     yaw_stuck: int | None = None  # poses whose yaw never changes, where that channel was left out
 
     @property
     def findings(self) -> tuple[str, ...]:
+        doubts = tuple(i.warning for i in self.innovations if i.warning)
         if self.yaw_stuck is None:
-            return ()
-        return (f"channel 'yaw' is left out: it never changes in {self.yaw_stuck} poses",)
+            return doubts
+        return (f"channel 'yaw' is left out: it never changes in {self.yaw_stuck} poses", *doubts)
 
     @property
     def warnings(self) -> tuple[str, ...]:

@@ -155,7 +155,7 @@ def filter(measured: Measured, filter: Filter, sensor: Sensor) -> Filtered:
     used, gated = (int(found.rows[name].to_numpy().sum()) for name in ("used", "gated"))
     rows = found.rows.drop(columns=["used", "gated"])
     table = table.merge(rows, on="pose", validate="1:1")
-    return Filtered(table, used, gated, found.dropped, found.yaw_stuck)
+    return Filtered(table, used, gated, found.dropped, found.innovations, found.yaw_stuck)
 
 
 def identify(
