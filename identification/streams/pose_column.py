@@ -32,12 +32,12 @@ def in_order(samples: pd.DataFrame, tally: Tally) -> pd.DataFrame:
     interval = float(np.median(forward)) if len(forward) else None
     odd = within & ((steps < 0) | (steps > (np.inf if interval is None else GAP * interval)))
     troubled = np.isin(pose, pose[order][1:][odd])
-    parts = [samples[~troubled]]
-    for _, group in samples[troubled].groupby("pose"):
+    parts = [samples.loc[~troubled]]
+    for _, group in samples.loc[troubled].groupby("pose"):
         beyond = int(group.index[-1]) + 1
         timeline = Timeline(tally, interval, repeating=True)
         parts.append(timeline.feed(group, final=True, following=float(t[beyond]) if beyond < len(t) else None))
-    found = pd.concat(parts).sort_index()
+    found: pd.DataFrame = pd.concat(parts).sort_index()
     as_read = t[found.index]
     tally.clock_steps += int(np.sum((np.diff(found["pose"]) != 0) & (np.diff(as_read) <= -STEP)))
     return _once(found, tally)
@@ -48,7 +48,7 @@ def _once(samples: pd.DataFrame, tally: Tally) -> pd.DataFrame:
     same = (values[1:] == values[:-1]) | (np.isnan(values[1:]) & np.isnan(values[:-1]))
     again = np.concatenate([np.zeros(min(len(values), 1), dtype=bool), same.all(axis=1)])
     tally.repeated += int(again.sum())
-    return samples[~again].reset_index(drop=True)
+    return samples.loc[~again].reset_index(drop=True)
 
 
 def not_revisited(stuck: np.ndarray, values: np.ndarray, pose: np.ndarray) -> np.ndarray:

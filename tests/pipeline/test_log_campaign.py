@@ -137,10 +137,10 @@ def test_the_page_tells_of_the_log(start, store, campaign, tmp_path):
     log, commands = campaign
     commands.to_csv(tmp_path / "commands.csv", index=False)
     files = f'measure.streams="{as_nmea(log, tmp_path)}"', f'measure.commands="{tmp_path / "commands.csv"}"'
-    measured = start(store, 'measure.source="files"', *files)[0].until("measure")[0]
+    measured, filtered = start(store, 'measure.source="files"', *files)[0].until("measure", "filter")
     text = (ROOT / "pipeline" / "templates" / "report.html").read_text()
-    part = text[text.index("{% if campaign %}") : text.index("<h2>What was learned")]
-    page = Environment(autoescape=True).from_string(part).render(campaign=measured.campaign)
+    part = text[text.index("{% set dropped") : text.index("<h2>What was learned")]
+    page = Environment(autoescape=True).from_string(part).render(campaign=measured.campaign, filtered=filtered)
     assert "13 of 14 commanded poses were used" in page
     assert "fail their checksum" in page
     assert "pose 5: held for 2.5 s" in page

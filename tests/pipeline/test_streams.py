@@ -74,6 +74,75 @@ def test_foreign_columns(measured, from_files, start, store):
     pd.testing.assert_frame_equal(found, expected, check_dtype=False, rtol=1e-9, atol=1e-12)
 
 
+def test_damage_is_survived_and_told(cli, start, store, measured, tmp_path):
+    """Through `kincal run`: against the run on the same files without what was damaged, and the counts on stderr."""
+    virtual = measured()
+    stream = virtual.stream.astype({"pose": float})
+    rows = stream.groupby("pose").cumcount().to_numpy()
+    pose = stream["pose"].to_numpy()
+    clean = stream[~((pose == 3) & (rows == 9)) & ~((pose == 4) & (rows == 20)) & ~np.isin(pose, [5, 6])]
+    stream.loc[(pose == 3) & (rows == 9), "roll"] = np.nan
+    stream.loc[(pose == 4) & (rows == 20), "t"] += 5e3
+    stream.loc[pose == 5, "pitch"] = 0.125
+    tables = {}
+    virtual.table.to_csv(tmp_path / "joints.csv", index=False)
+    for name, frame in (("damaged", stream[pose != 6]), ("clean", clean)):
+        frame.to_csv(tmp_path / f"{name}.csv", index=False)
+        files = (f'measure.table="{tmp_path / "joints.csv"}"', f'measure.streams="{tmp_path / name}.csv"')
+        settings = ('measure.source="files"', *files)
+        arguments = [part for setting in settings for part in ("--set", setting)]
+        answer = cli("run", "ups3_s", "--store", store, "--until", "filter", *arguments)
+        assert answer.status == 0, answer.err
+        if name == "damaged":
+            for said in (
+                f"damaged.csv: 1 of {len(frame)} records have no number for t, roll or pitch",
+                f"damaged.csv: 1 of {len(frame)} records have a time far ahead that the next ones deny",
+                f"damaged.csv: channel 'pitch' is stuck for {np.sum(pose == 5)} samples",
+                "pose 5 was left out: channel 'pitch' is stuck at 7.16197 degrees",
+                "pose 6 was left out: it has no sample; allowed is at least 5",
+            ):
+                assert said in answer.err
+        tables[name] = start(store, *settings)[0].until("filter")[0].table
+    pd.testing.assert_frame_equal(tables["damaged"], tables["clean"], check_exact=True)
+    assert len(tables["clean"]) == 38
+
+
+def test_the_page_tells_of_the_stream(measured, from_files):
+    """What is wrong with a stream, and the poses that were left out, as the report's template shows them."""
+    from jinja2 import Environment
+
+    from pipeline.fingerprint import ROOT
+
+    virtual = measured()
+    stream = virtual.stream.assign(roll=virtual.stream["roll"].mask(virtual.stream["pose"] == 7, 0.125))
+    stream.loc[3, "t"] = np.nan
+    found, filtered = from_files(virtual.table, stream).until("measure", "filter")
+    text = (ROOT / "pipeline" / "templates" / "report.html").read_text()
+    part = text[text.index("{% set dropped") : text.index("<h2>What was learned")]
+    report = Environment(autoescape=True).from_string(part).render(campaign=found.campaign, filtered=filtered)
+    assert f"streams.csv (csv): {len(stream) - 1} good samples, for 40 poses." in report
+    assert f"1 of {len(stream)} records have no number for t, roll or pitch." in report
+    assert "1 commanded poses were left out" in report
+    assert "pose 7: channel &#39;roll&#39; is stuck at 7.16197 degrees" in report
+
+
+def test_a_stream_of_half_the_poses_is_refused(cli, store, measured, tmp_path):
+    virtual = measured()
+    virtual.table.to_csv(tmp_path / "joints.csv", index=False)
+    virtual.stream[virtual.stream["pose"] % 2 == 0].to_csv(tmp_path / "stream.csv", index=False)
+    files = (
+        "measure.source=files",
+        f"measure.table={tmp_path / 'joints.csv'}",
+        f"measure.streams={tmp_path / 'stream.csv'}",
+    )
+    answer = cli("run", "ups3_s", "--store", store, *(part for file in files for part in ("--set", file)))
+    assert answer.status == 2
+    assert (
+        "stream.csv): 20 of 40 poses can't be used; allowed are fewer than half; the first is pose 1: it has no "
+        in (answer.err)
+    )
+
+
 def scored(run, truth, p: np.ndarray) -> float:
     """Mean orientation error [deg] of a robot identified as p, on 500 poses of the noise-free truth."""
     description = run.robot.description
