@@ -11,6 +11,7 @@ import os
 import shutil
 import subprocess
 import tempfile
+from collections.abc import Sequence
 from pathlib import Path
 
 import casadi as ca
@@ -23,7 +24,7 @@ _SECONDS = 120
 
 def compiled(function: ca.Function, folder: Path | None = None) -> ca.Function:
     """`function` compiled, from the cache where it has been before; `function` itself where that can't be."""
-    compiler = os.environ.get("CC") or shutil.which("cc") or shutil.which("gcc") or shutil.which("clang")
+    compiler = find_compiler()
     if not compiler:
         return function
     generator = ca.CodeGenerator("derivatives.c")
@@ -42,11 +43,21 @@ def compiled(function: ca.Function, folder: Path | None = None) -> ca.Function:
     return function
 
 
+def find_compiler() -> str | None:
+    """The command of a C compiler: that of the environment's CC, or the first usual one on the path."""
+    return os.environ.get("CC") or shutil.which("cc") or shutil.which("gcc") or shutil.which("clang")
+
+
+def build(compiler: str, sources: Sequence[Path], built: Path, *options: str) -> None:
+    """Raises OSError or subprocess.SubprocessError where the compiler fails."""
+    command = [*compiler.split(), *options, *map(str, sources), "-o", str(built), "-lm"]
+    subprocess.run(command, check=True, capture_output=True, timeout=_SECONDS)
+
+
 def _compile(compiler: str, source: str, library: Path) -> None:
     library.parent.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(dir=library.parent) as own:
         code, built = Path(own) / "derivatives.c", Path(own) / library.name
         code.write_text(source, encoding="utf-8")
-        command = [*compiler.split(), *_FLAGS, str(code), "-o", str(built)]
-        subprocess.run(command, check=True, capture_output=True, timeout=_SECONDS)
+        build(compiler, [code], built, *_FLAGS)
         built.replace(library)

@@ -18,8 +18,9 @@ import numpy as np
 
 from identification.compiled import PAYS, compiled
 from identification.measurements import Measurements
+from identification.symbolic_chain import after, joint_frames, loop_equations, rotation_vector, tool_placement
 from urdf.actuators import Actuators
-from urdf.closed_chain import BASE, ClosedChain
+from urdf.closed_chain import ClosedChain
 from urdf.description import Actuator, Tolerance
 from urdf.errors import InputError
 from urdf.kinematics import Closure, forward
@@ -311,21 +312,10 @@ def _symbolic(chain: ClosedChain, channels: tuple[str, ...], derivatives: bool) 
         numbers, error = constants[12 * k : 12 * k + 12], xi[6 * k : 6 * k + 6]
         turned = ca.reshape(numbers[:9], 3, 3) @ (ca.SX.eye(3) + ca.skew(error[3:]))
         placed.append((turned, numbers[9:] + error[:3]))
-    frames: dict[int, tuple[ca.SX, ca.SX]] = {BASE: (ca.SX.eye(3), ca.SX.zeros(3))}
-    for j, parent in enumerate(chain.parents):
-        rotation, translation = _after(frames[parent], placed[j])
-        axis = ca.DM(chain.axes[j])
-        if chain.prismatic[j]:
-            translation = translation + rotation @ axis * q[j]
-        else:
-            turn = ca.skew(axis)
-            rotation = rotation @ (ca.DM.eye(3) + ca.sin(q[j]) * turn + (1 - ca.cos(q[j])) * (turn @ turn))
-        frames[j] = (rotation, translation)
-    phi = _loop_equations(chain, frames, placed)
-    base = chain.base.inverse()
-    tool = _after((ca.DM(base.rotation), ca.DM(base.translation)), frames[chain.tool_joint])
-    tool = _after(tool, (ca.DM(chain.tool.rotation), ca.DM(chain.tool.translation)))
-    rotation, translation = _after(_after(placed[-2], tool), placed[-1])
+    frames = joint_frames(chain, q, placed)
+    phi = loop_equations(chain, frames, placed)
+    tool = tool_placement(chain, frames)
+    rotation, translation = after(after(placed[-2], tool), placed[-1])
     residual, observed = _residual(channels, rotation, translation)
     outputs = [residual]
     if derivatives:
@@ -341,20 +331,6 @@ def _symbolic(chain: ClosedChain, channels: tuple[str, ...], derivatives: bool) 
     return ca.Function("error_model", [q, constants, observed], outputs)
 
 
-def _after(first: tuple, second: tuple) -> tuple:
-    return first[0] @ second[0], first[0] @ second[1] + first[1]
-
-
-def _loop_equations(chain: ClosedChain, frames: Mapping[int, tuple[ca.SX, ca.SX]], placed: list) -> ca.SX:
-    equations = [ca.SX.zeros(0, 1)]
-    for loop in chain.loops:
-        first, second = (_after(frames[j], placed[b]) for j, b in zip(loop.joints, loop.bodies, strict=True))
-        equations.append(second[1] - first[1])
-        if loop.kind == "frame":
-            equations.append(ca.inv_skew(first[0].T @ second[0]))
-    return ca.vertcat(*equations)
-
-
 def _residual(channels: tuple[str, ...], rotation: ca.SX, translation: ca.SX) -> tuple[ca.SX, ca.SX]:
     """Whitened residuals of one pose (predicted less measured), and the symbols of what was measured."""
     sizes = {"orientation": 9, "tilt": 2, "yaw": 1, "position": 3}
@@ -362,7 +338,7 @@ def _residual(channels: tuple[str, ...], rotation: ca.SX, translation: ca.SX) ->
     for channel in channels:
         value, sigma = ca.SX.sym(channel, sizes[channel]), ca.SX.sym(f"{channel}_std")
         if channel == "orientation":  # rotation vector from measured to predicted, in the measured target's frame
-            row = _rotation_vector(ca.reshape(value, 3, 3).T @ rotation)
+            row = rotation_vector(ca.reshape(value, 3, 3).T @ rotation)
         elif channel == "position":
             row = translation - value
         elif channel == "tilt":  # of R = Rz(yaw) Ry(pitch) Rx(roll)
@@ -378,17 +354,6 @@ def _residual(channels: tuple[str, ...], rotation: ca.SX, translation: ca.SX) ->
 
 def _wrapped(angle: ca.SX) -> ca.SX:
     return ca.atan2(ca.sin(angle), ca.cos(angle))
-
-
-def _rotation_vector(rotation: ca.SX) -> ca.SX:
-    """log of a rotation matrix, differentiable also at the identity (Taylor there); regular below 180 degrees."""
-    sine = ca.inv_skew(rotation)
-    square = ca.sumsqr(sine)
-    small = ca.logic_and(square < 1e-10, ca.trace(rotation) > 0)
-    length = ca.sqrt(ca.if_else(small, 1.0, square))
-    angle = ca.atan2(length, (ca.trace(rotation) - 1) / 2)
-    # near the identity: asin(s) / s = 1 + s^2 / 6 + ..
-    return sine * ca.if_else(small, 1 + square / 6, angle / length)
 
 
 @lru_cache

@@ -10,7 +10,7 @@ import numpy as np
 from learning.units import WAVES, Units
 
 HELD = 0.95  # of what is to come, within the regions that are told
-_MARGIN = 0.2  # of the training range: how far outside the hull the correction has faded to nothing
+MARGIN = 0.2  # of the training range: how far outside the hull the correction has faded to nothing
 
 
 def variance(columns: np.ndarray, covariance: np.ndarray) -> np.ndarray:
@@ -102,5 +102,5 @@ class Correction:
 
     def fade(self, x: np.ndarray) -> np.ndarray:
         """(n,) 1 inside the hull of the training inputs, falling smoothly to 0 outside."""
-        distance = np.minimum(self.hull.outside(self.units.scaled(x)) / (2 * _MARGIN), 1.0)  # a range is 2 wide
+        distance = np.minimum(self.hull.outside(self.units.scaled(x)) / (2 * MARGIN), 1.0)  # a range is 2 wide
         return (1 - distance**2) ** 2

@@ -65,8 +65,7 @@ class Units:
         u = self.scaled(x)
         parts = []
         if self.own:
-            centres = np.linspace(-_REACH, _REACH, self.own)
-            width = _WIDTH * (centres[1] - centres[0]) if self.own > 1 else _REACH
+            centres, width = own_centres(self.own)
             parts += [np.exp(-0.5 * ((u[:, [j]] - centres) / width) ** 2) for j in range(self.n_joints)]
         for j, cycles in self.waves:
             phase = np.pi * cycles * (u[:, int(j)] + 1)
@@ -82,6 +81,12 @@ class Units:
     @property
     def _n_inherited(self) -> int:
         return 0 if self.inherited is None else len(self.inherited.spread)
+
+
+def own_centres(count: int) -> tuple[np.ndarray, float]:
+    """Centres (count,) of one joint's radial units, and their width, in scaled inputs."""
+    centres = np.linspace(-_REACH, _REACH, count)
+    return centres, _WIDTH * (centres[1] - centres[0]) if count > 1 else _REACH
 
 
 def range_of(x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -10,10 +10,7 @@ import io
 import json
 import os
 import platform
-import shutil
-import uuid
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -24,6 +21,7 @@ from identification.error_model import BuiltRobot, ErrorModel
 from identification.identification import Identification
 from pipeline import stages
 from pipeline.calibration_json import SCHEMA, calibration_document, parameters, read_calibration
+from pipeline.export_target import MADE_HERE, beside, check_folder_free, check_parent
 from pipeline.exported_toml import exported_toml
 from pipeline.exported_urdf import CalibratedUrdf, calibrated_urdf, require_urdf
 from pipeline.results import Model
@@ -39,7 +37,6 @@ from urdf.workspace import sample
 
 TOLERANCE = 1e-9  # of a pose that the export predicts, against the identified model [m, rad]
 FILES = ("robot.urdf", "robot.toml", "parameters.csv")
-_MADE_HERE = "kincal export: "  # begins the first line of an exported robot.toml
 _RANDOM = 128  # readings at which an export is checked besides the measured ones; at least
 _ENOUGH = 100  # of them the identified robot must reach
 _SHARES = (1.0, 0.98, 0.95, 0.9)  # of the workspace, tried in turn where the calibrated robot does not reach it all
@@ -84,12 +81,12 @@ def export_folder(session: Run, output: Path | None = None, force: bool = False)
     the export does not predict what the identified model predicts; then nothing is written.
     """
     output = Path(f"{session.robot.description.name}_calibrated") if output is None else output
-    _check_folder_free(output, session.robot.file, force)
+    check_folder_free(output, session.robot.file, force, output / "robot.toml")
     require_urdf(session.until("model")[0].urdf)
     calibrated = identified_robot(session)
-    with _beside(output) as temporary:
+    with beside(output) as temporary:
         exported = write_folder(calibrated, temporary, output)
-        _check_folder_free(output, session.robot.file, force)
+        check_folder_free(output, session.robot.file, force, output / "robot.toml")
         if output.exists():
             for name in FILES:
                 (temporary / name).replace(output / name)
@@ -157,7 +154,7 @@ def write_folder(calibrated: Calibrated, folder: Path, final: Path) -> Exported:
     """The three files in `folder`, checked; `final` is where the folder will stand, for relative paths."""
     description, found = calibrated.description, calibrated.found
     said = (
-        f"{_MADE_HERE}{description.name}, identified from {found.n_poses} poses ({calibrated.measured}: "
+        f"{MADE_HERE}{description.name}, identified from {found.n_poses} poses ({calibrated.measured}: "
         f"{', '.join(found.channels)}), chi-square {found.chi_square:.5g} over {found.degrees_of_freedom:.1f} degrees "
         f"of freedom, kincal {version('kincal')}"
     )
@@ -277,35 +274,11 @@ def _versions() -> dict[str, str]:
     return {name: version(name) for name in ("kincal", "pin", "numpy")} | {"python": platform.python_version()}
 
 
-def _check_folder_free(output: Path, source: Path, force: bool) -> None:
-    with refusing(f"--output {output}"):
-        _check_parent(output)
-        if not os.path.lexists(output):
-            return
-        if not output.is_dir():
-            raise InputError(f"--output {output}: a file; allowed is a new folder")
-        if output.resolve() == source.parent.resolve():
-            raise InputError(f"--output {output}: the folder that the robot is read from; allowed is another one")
-        if not force and any(output.iterdir()) and not _made_here(output / "robot.toml"):
-            raise InputError(
-                f"--output {output}: exists, and was not made by kincal export; name a new folder, or write beside "
-                "what it holds with --force"
-            )
-
-
-def _made_here(file: Path) -> bool:
-    try:
-        with open(file, encoding="utf-8") as stream:
-            return stream.readline().startswith(f"# {_MADE_HERE}")
-    except (OSError, ValueError):
-        return False
-
-
 def _check_file_free(output: Path | None, force: bool) -> None:
     if output is None:
         return
     with refusing(f"--output {output}"):
-        _check_parent(output)
+        check_parent(output)
         if not os.path.lexists(output):
             return
         if not output.is_file():
@@ -317,26 +290,9 @@ def _check_file_free(output: Path | None, force: bool) -> None:
             )
 
 
-def _check_parent(output: Path) -> None:
-    if not output.absolute().parent.is_dir():
-        raise InputError(f"--output {output}: there is no folder {str(output.parent)!r}; make it first")
-
-
 def _is_calibration(file: Path) -> bool:
     try:
         document = json.loads(file.read_bytes())
     except (OSError, ValueError, RecursionError):
         return False
     return isinstance(document, dict) and document.get("schema") == SCHEMA
-
-
-@contextmanager
-def _beside(output: Path) -> Iterator[Path]:
-    """A folder beside `output`, from where it is renamed into place; gone at the end, whatever happens."""
-    temporary = output.absolute().parent / f".kincal-export-{uuid.uuid4().hex}"
-    try:
-        with refusing(f"--output {output}"):
-            temporary.mkdir()
-            yield temporary
-    finally:
-        shutil.rmtree(temporary, ignore_errors=True)

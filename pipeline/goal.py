@@ -57,11 +57,14 @@ class Goal:
         """Whether nothing needs to be filled in: a tool that turns only may have any position."""
         return self.asked >= parts(WHOLE if min(self.robot.chain.tool_axes) < 3 else ["orientation"])
 
-    def solve(self) -> tuple[Closure, np.ndarray]:
-        """The robot's configurations that meet the goal, and which rows do: (n,). Newton in the tool coordinates."""
+    def solve(self, near: Closure | None = None) -> tuple[Closure, np.ndarray]:
+        """The robot's configurations that meet the goal, and which rows do: (n,). Newton in the tool coordinates.
+
+        near: closed configurations (n) near by, where they are known.
+        """
         chain, axes = self.robot.chain, list(self.robot.chain.tool_axes)
-        u = self._start()
-        found = inverse(chain, u)
+        u = self._start() if near is None or self.whole else tool_coordinates(chain, near.pose)
+        found = inverse(chain, u, None if near is None else near.q)
         if self.whole:
             return found, found.closed
         for _ in range(_ITERATIONS):
@@ -69,7 +72,7 @@ class Goal:
             if np.max(np.abs(step), initial=0.0) < _SETTLED:
                 break
             u[:, axes] -= step
-            found = inverse(chain, u)
+            found = inverse(chain, u, found.q)
         return found, found.closed & (np.abs(self._step(found)).max(axis=1) < _SETTLED)
 
     def coordinates(self, predicted: Motion) -> np.ndarray:

@@ -54,14 +54,19 @@ class ModelMethod:
         return self.robot.measured(closure.pose)
 
     def command(self, desired: Motion, channels: tuple[str, ...] = WHOLE) -> tuple[np.ndarray, np.ndarray]:
-        chain, actuators = self.robot.chain, self.robot.actuators
         found, met = Goal.of(self.robot, desired, channels).solve()
-        readings = actuators.readings(found.q[:, chain.actuated])
-        # There, and not on another assembly branch of the same actuators' values?
-        closure, axes = self.close(readings), list(chain.tool_axes)
+        readings = self.readings(found)
+        return readings, met & self.on_branch(readings, found)
+
+    def readings(self, found: Closure) -> np.ndarray:
+        return self.robot.actuators.readings(found.q[:, self.robot.chain.actuated])
+
+    def on_branch(self, readings: np.ndarray, found: Closure) -> np.ndarray:
+        """(n,): whether the readings lead from home to the configurations, and not to another assembly branch."""
+        chain, closure = self.robot.chain, self.close(readings)
         apart = tool_coordinates(chain, closure.pose) - tool_coordinates(chain, found.pose)
-        left = np.abs(wrap(apart)[:, axes]).max(axis=1)
-        return readings, met & closure.closed & (left < _REACHED)
+        left = np.abs(wrap(apart)[:, list(chain.tool_axes)]).max(axis=1)
+        return closure.closed & (left < _REACHED)
 
 
 @dataclass(frozen=True)
@@ -75,48 +80,67 @@ class HybridMethod:
     refined: BuiltRobot
     correction: Correction
 
-    def close(self, readings: np.ndarray) -> Closure:
-        """The refined model's configurations, with the correction."""
-        return self.refined.close(readings, shift=self.correction(readings))
+    def close(self, readings: np.ndarray, start: np.ndarray | None = None) -> Closure:
+        """The refined model's configurations, with the correction; start: (n, n_joints) near by, where known."""
+        return self.refined.close(readings, start, shift=self.correction(readings))
 
     def predict(self, readings: np.ndarray) -> Motion:
-        pose, share = self.geometric.predict(readings), self.correction.share(readings)
+        return self._predicted(readings, self.geometric.predict(readings))[0]
+
+    def _predicted(
+        self, readings: np.ndarray, alone: Motion, start: np.ndarray | None = None
+    ) -> tuple[Motion, np.ndarray]:
+        """Where the model alone predicts the poses `alone`; and the refined configurations (n, n_joints), searched
+        from `start`, as far as they are known."""
+        share = self.correction.share(readings)
         rows = np.flatnonzero(share > 0)
+        closed = np.tile(self.refined.chain.home, (len(readings), 1)) if start is None else start.copy()
         if not len(rows):
-            return pose
-        closure = self.close(readings[rows])
-        rows, q = rows[closure.closed], closure.pose[closure.closed]  # where it can't be closed it says nothing
-        corrected, alone, part = self.refined.measured(q), pose[rows], share[rows, None]
-        turned = alone.rotation @ exp(part * log(alone.rotation.swapaxes(1, 2) @ corrected.rotation))
-        moved = alone.translation + part * (corrected.translation - alone.translation)
-        rotation, translation = pose.rotation.copy(), pose.translation.copy()
+            return alone, closed
+        closure = self.close(readings[rows], None if start is None else start[rows])
+        rows, found = rows[closure.closed], closure.pose[closure.closed]  # where it can't be closed it says nothing
+        closed[rows] = closure.q[closure.closed]
+        corrected, model, part = self.refined.measured(found), alone[rows], share[rows, None]
+        turned = model.rotation @ exp(part * log(model.rotation.swapaxes(1, 2) @ corrected.rotation))
+        moved = model.translation + part * (corrected.translation - model.translation)
+        rotation, translation = alone.rotation.copy(), alone.translation.copy()
         rotation[rows], translation[rows] = turned, moved
-        return Motion(rotation, translation)
+        return Motion(rotation, translation), closed
 
     def command(self, desired: Motion, channels: tuple[str, ...] = WHOLE) -> tuple[np.ndarray, np.ndarray]:
-        """The geometric command of a goal that is moved by what the correction does there; each step gains digits."""
-        readings, met = self.geometric.command(desired, channels)
+        """The geometric command of a goal that is moved by what the correction does there; each step gains digits,
+        and starts where the step before ended."""
         if self.correction.shrinkage == 0.0:
-            return readings, met
-        aim, gain = desired, self.refined.actuators.gain
-        still = np.zeros(len(readings), dtype=bool)
+            return self.geometric.command(desired, channels)
+        robot, gain = self.geometric.robot, self.refined.actuators.gain
+        found, met = Goal.of(robot, desired, channels).solve()
+        readings, refined, still = self.geometric.readings(found), found.q.copy(), np.zeros(len(found.q), dtype=bool)
         for _ in range(_ITERATIONS):
             going = np.flatnonzero(met & ~still)
             if not len(going):
                 break
-            here, alone = self.predict(readings[going]), self.geometric.predict(readings[going])
-            wanted = Goal.of(self.geometric.robot, desired[going], channels).filled(here)
+            near = found[going]
+            alone = robot.measured(near.pose)
+            here, refined[going] = self._predicted(readings[going], alone, refined[going])
+            wanted = Goal.of(robot, desired[going], channels).filled(here)
             # what geometry must be asked for, so that the prediction is what is wanted
             aim = Motion(
                 wanted.rotation @ here.rotation.swapaxes(1, 2) @ alone.rotation,
                 wanted.translation + alone.translation - here.translation,
             )
-            stepped, reached = self.geometric.command(aim, channels)
-            met[going] &= reached
-            step = np.abs(gain * (stepped - readings[going])).max(axis=1)
-            readings[going] = stepped
-            still[going] = step < _STILL
-        return readings, met & still
+            stepped, met[going] = Goal.of(robot, aim, channels).solve(near)
+            found = found.replaced(going, stepped)
+            before, readings[going] = readings[going], self.geometric.readings(stepped)
+            still[going] = np.abs(gain * (readings[going] - before)).max(axis=1) < _STILL
+        return readings, met & still & self._on_branch(readings, found, refined)
+
+    def _on_branch(self, readings: np.ndarray, found: Closure, refined: np.ndarray) -> np.ndarray:
+        """(n,): whether the readings lead from home to these configurations, of both models."""
+        alone = self.geometric.robot.measured(found.pose)
+        (here, _), (there, _) = (self._predicted(readings, alone, start) for start in (refined, None))
+        apart = np.abs(here.rotation - there.rotation).max(axis=(1, 2))
+        apart = np.maximum(apart, np.abs(here.translation - there.translation).max(axis=1))
+        return self.geometric.on_branch(readings, found) & (apart < _REACHED)
 
 
 @dataclass(frozen=True)

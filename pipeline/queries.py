@@ -27,7 +27,7 @@ from urdf.workspace import AXES
 
 
 @dataclass(frozen=True)
-class _Calibrated:
+class Shipped:
     """A robot with what was identified and learned from all measured poses."""
 
     model: ErrorModel
@@ -43,7 +43,7 @@ class _Calibrated:
         return build(self.model, self.identified.fits()[0], self.learned, self.corrected, self.channels)
 
 
-def _calibrated(session: Run, method: str | None = None) -> _Calibrated:
+def shipped(session: Run, method: str | None = None) -> Shipped:
     """With the methods that `method` needs; None: all. Networks that nobody asks for are not trained."""
     if method is not None and method not in METHODS:
         raise InputError(f"--method {method}: no such method; {nearest(method, METHODS)}")
@@ -56,7 +56,7 @@ def _calibrated(session: Run, method: str | None = None) -> _Calibrated:
     wanted = [name for name, needed in stages.items() if needed]
     found = dict(zip(wanted, session.until(*wanted), strict=True))
     description = session.robot.description
-    return _Calibrated(
+    return Shipped(
         ErrorModel.of(found["model"].chain(), description.actuator, description.tolerance),
         found["identify"],
         found["transfer"].fits[0] if "transfer" in found else None,
@@ -84,7 +84,7 @@ def predicted_table(session: Run, file: Path, method: str) -> pd.DataFrame:
     and the radius of the region that holds it with 95 %, [rad] and [m]; an instrument's noise comes on top. `share` is
     how much of the correction is believed there: 0 far outside the measured poses.
     """
-    calibrated = _calibrated(session, method)
+    calibrated = shipped(session, method)
     model, channels = calibrated.model, calibrated.channels
     chosen = calibrated.methods()[method]
     table = _read(session, model, file, None, measured=False)
@@ -122,7 +122,7 @@ def _sure(what: str, covariance: np.ndarray | None, axes: int = 3) -> dict[str, 
 
 def compensated_table(session: Run, file: Path, method: str) -> pd.DataFrame:
     """The actuators' readings that reach the poses of `file` (a measurement table without joints), one row a pose."""
-    calibrated = _calibrated(session, method)
+    calibrated = shipped(session, method)
     model, identified = calibrated.model, calibrated.identified
     chosen = calibrated.methods()[method]
     description = session.robot.description
@@ -167,7 +167,7 @@ def evaluated(session: Run, file: Path, columns: Path | None, *, register: bool,
     register: W is first refitted alone; rehome: the actuators' zeros are. Each method is refitted by its own
     predictions of the table's own poses.
     """
-    calibrated = _calibrated(session)
+    calibrated = shipped(session)
     model, identified = calibrated.model, calibrated.identified
     table = _read(session, model, file, columns, measured=True)
     measured = to_measurements(table, model.chain.actuated_names, session.robot.description.sensor)

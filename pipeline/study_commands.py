@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import Parameter
 from rich.text import Text
@@ -12,11 +12,15 @@ from pipeline.console import aside, err, out, print_json, print_table, short, sh
 from pipeline.options import COMMON, Common, Flag, Json, JsonInstead, Robot, command_line, opened
 from urdf.errors import InputError
 
+if TYPE_CHECKING:
+    from pipeline.exported_c import ExportedCode
+
 
 def export(
     robot: Robot,
     *,
-    format: Literal["urdf", "json"],
+    format: Literal["urdf", "json", "c"],
+    method: str | None = None,
     output: Path | None = None,
     force: Flag = False,
     common: Common = COMMON,
@@ -26,15 +30,25 @@ def export(
     Parameters
     ----------
     format
-        urdf: a folder with robot.urdf, robot.toml and parameters.csv; json: one document.
+        urdf: a folder with robot.urdf, robot.toml and parameters.csv; json: one document; c: a folder with the
+        compensator for a controller, one C file with its header and a test program.
+    method
+        Of the compensator: hybrid (default) or geometric.
     output
-        The folder (default: NAME_calibrated), or the file of the document (default: stdout).
+        The folder (default: NAME_calibrated, NAME_compensator), or the file of the document (default: stdout).
     force
         Write also where something stands that export has not made.
     """
     from pipeline.export import export_document, export_folder
 
+    if method is not None and format != "c":
+        raise InputError(f"--method {method}: --format {format} has none; allowed with --format c")
     session = opened(robot, common)
+    if format == "c":
+        from pipeline.exported_c import export_code
+
+        _show_code(export_code(session, method or "hybrid", output, force))
+        return
     if format == "json":
         exported = export_document(session, output, force)
         if output is None:
@@ -48,6 +62,18 @@ def export(
     out.print(Text(f"{exported.path}: predicts as the identified model does, {within}"), soft_wrap=True)
     if exported.target:
         out.print(Text(f"what is measured: the pose of link {exported.target!r} in link {exported.instrument!r}"))
+
+
+def _show_code(exported: ExportedCode) -> None:
+    agreed = exported.agreement
+    within = f"within {agreed.command:.1e} m or rad of an actuator at {agreed.n_checked} poses"
+    out.print(Text(f"{exported.path}: commands as kincal compensate does, {within}"), soft_wrap=True)
+    out.print(Text(f"at most {exported.iterations} iterations a command, from any start"))
+    if exported.compiler is None:
+        note = (
+            "note: there is no C compiler here; the code's steps were compared as CasADi evaluates them, not compiled"
+        )
+        err.print(Text(note, style="yellow"), soft_wrap=True)
 
 
 def plan(

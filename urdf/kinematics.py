@@ -52,6 +52,9 @@ class Closure:
     closed: np.ndarray  # (n,) bool
     residual: np.ndarray  # (n,) the largest loop (and target) error left [m, rad]
 
+    def __getitem__(self, rows: np.ndarray) -> Closure:
+        return Closure(self.q[rows], self.pose[rows], self.closed[rows], self.residual[rows])
+
     def replaced(self, rows: np.ndarray, other: Closure) -> Closure:
         """This closure with `other` in its rows (k,)."""
         rotation = _placed(self.pose.rotation, rows, other.pose.rotation)
@@ -242,15 +245,16 @@ def forward(chain: ClosedChain, actuated: np.ndarray, start: np.ndarray | None =
     return _solve(problem, np.asarray(actuated, dtype=float), chain.home[chain.actuated], start)
 
 
-def inverse(chain: ClosedChain, u: np.ndarray) -> Closure:
+def inverse(chain: ClosedChain, u: np.ndarray, start: np.ndarray | None = None) -> Closure:
     """Tool to joints: the configurations on home's branch with tool coordinates u: (n, 6) on the chain's tool axes.
 
     The other coordinates of u are not looked at: the mechanism decides them.
+    start: (n, n_joints), closed configurations near by where they are known (their branch is kept).
     """
     problem = _Problem(chain, np.arange(chain.n_joints), chain.tool_axes)
     axes = list(chain.tool_axes)
     home = tool_coordinates(chain, tool_pose(chain, tree(chain, chain.home[None])))[0, axes]
-    return _solve(problem, np.asarray(u, dtype=float)[:, axes], home, None)
+    return _solve(problem, np.asarray(u, dtype=float)[:, axes], home, start)
 
 
 def _solve(problem: _Problem, target: np.ndarray, home_target: np.ndarray, start: np.ndarray | None) -> Closure:
