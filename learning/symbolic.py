@@ -35,7 +35,7 @@ def delta(correction: Correction, x: ca.SX) -> ca.SX:
     if units.inherited is not None:
         by_shape = of(INHERITED).reshape(k, -1) * units.inherited.spread.T
         found += _shapes(units.inherited.network, x, by_shape)
-    return found
+    return ca.SX(found)
 
 
 def share(correction: Correction, x: ca.SX) -> ca.SX:

@@ -9,7 +9,7 @@ frame is the ship's.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
@@ -22,7 +22,9 @@ from identification.attitude.settings import AttitudeSettings, InnovationStatist
 from identification.attitude.smoother import smooth_attitude
 from identification.channels import all_turns, parts
 from pipeline.compensation import Attempt, attempt
-from pipeline.methods import Method
+from pipeline.compensator import Compensator
+from pipeline.goal import WHOLE
+from pipeline.methods import HybridMethod, Method, ModelMethod
 from pipeline.results import RAW
 from pipeline.sea.control import ahead, followed, kept, lag, late, levelling
 from pipeline.sea.instruments import sensed
@@ -99,6 +101,7 @@ class Platform:
     actual: VirtualRobot
     methods: Mapping[str, Method]  # the raw nominal robot first
     channels: tuple[str, ...]
+    _compensators: dict[int, Method] = field(default_factory=dict, repr=False, compare=False)
 
     @property
     def turns(self) -> bool:
@@ -162,11 +165,37 @@ class Platform:
 
     def _attempt(self, method: Method, rotation: np.ndarray, position: np.ndarray) -> Attempt:
         desired = Motion(rotation, np.broadcast_to(position, (len(rotation), 3)))
-        return attempt(method, desired, self.model.chain, self.model.actuators, self.channels)
+        return attempt(self._quick(method), desired, self.model.chain, self.model.actuators, self.channels)
+
+    def _quick(self, method: Method) -> Method:
+        """The same commands at control rate, of methods that are models."""
+        if not isinstance(method, ModelMethod | HybridMethod):
+            return method
+        key = id(method)
+        if key not in self._compensators:
+            made = Compensator.of(method, self.channels, self.description.workspace).compiled()
+            self._compensators[key] = _AtControlRate(method, made)
+        return self._compensators[key]
 
     def _home_position(self) -> np.ndarray:
         home = self.model.actuators.readings(self.model.chain.home[None, self.model.chain.actuated])
         return self.methods["geometric"].predict(home).translation[0]
+
+
+@dataclass(frozen=True)
+class _AtControlRate:
+    """A method that is commanded by its compensator."""
+
+    method: Method
+    compensator: Compensator
+
+    def predict(self, readings: np.ndarray) -> Motion:
+        return self.method.predict(readings)
+
+    def command(self, desired: Motion, channels: tuple[str, ...] = WHOLE) -> tuple[np.ndarray, np.ndarray]:
+        """By the channels that the compensator was made for."""
+        found = self.compensator.commands(desired)
+        return found.readings, found.reached
 
 
 def _turned_to(rotation: np.ndarray, normal: np.ndarray) -> np.ndarray:

@@ -594,7 +594,7 @@ def test_a_layout_of_toml_that_is_hard_to_edit(start, robot_folder, tmp_path):
     exported = export_folder(run, tmp_path / "out")
     before, after = (load_robot(str(f)).description for f in (toml, exported.path))
     same = before.model_dump(
-        exclude={"actuator", "urdf", "prior", "pretrain", "transfer", "siblings", "evaluate", "measure"}
+        exclude={"actuator", "urdf", "prior", "pretrain", "transfer", "siblings", "correct", "evaluate", "measure"}
     )
     assert after.model_dump(include=set(same)) == same
     assert set(after.actuator) == set(after.actuated)
