@@ -35,7 +35,7 @@ def delta(correction: Correction, x: ca.SX) -> ca.SX:
     if units.inherited is not None:
         by_shape = of(INHERITED).reshape(k, -1) * units.inherited.spread.T
         found += _shapes(units.inherited.network, x, by_shape)
-    return ca.SX(found)
+    return found
 
 
 def share(correction: Correction, x: ca.SX) -> ca.SX:
@@ -43,7 +43,7 @@ def share(correction: Correction, x: ca.SX) -> ca.SX:
     u = (x - correction.units.centre) / correction.units.span
     outside = ca.fmax(ca.mmax(correction.hull.directions @ u - correction.hull.reach), 0.0)
     distance = ca.fmin(outside / (2 * MARGIN), 1.0)
-    return correction.shrinkage * (1 - distance**2) ** 2
+    return ca.SX(correction.shrinkage * (1 - distance**2) ** 2)
 
 
 def _radial(weights: np.ndarray, u: ca.SX) -> ca.SX:
