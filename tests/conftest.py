@@ -26,7 +26,7 @@ from urdf.workspace import WorkspaceReport, check_workspace, sample
 
 DATA = Path(__file__).parent / "data"
 
-settings.register_profile("kincal", deadline=None, derandomize=True, max_examples=40, print_blob=False)
+settings.register_profile("kincal", deadline=None, derandomize=True, max_examples=20, print_blob=False)
 settings.load_profile("kincal")
 
 

@@ -42,6 +42,7 @@ if TYPE_CHECKING:
 START_S = 120.0  # before the trial: the filter starts cold
 _AT_ONCE = 20_000  # samples: memory
 _OFTEN_HZ = 10.0  # at which the parts of the error are taken apart
+_PAYS = 2000  # samples, for which compilation takes less time than it saves
 _LEAST_REACHED = 0.5  # of the samples
 _NORMAL = 3  # corrections of a deck's normal, where its heading follows the robot; each gains two digits
 
@@ -165,16 +166,18 @@ class Platform:
 
     def _attempt(self, method: Method, rotation: np.ndarray, position: np.ndarray) -> Attempt:
         desired = Motion(rotation, np.broadcast_to(position, (len(rotation), 3)))
-        return attempt(self._quick(method), desired, self.model.chain, self.model.actuators, self.channels)
+        return attempt(
+            self._quick(method, len(rotation)), desired, self.model.chain, self.model.actuators, self.channels
+        )
 
-    def _quick(self, method: Method) -> Method:
-        """The same commands at control rate, of methods that are models."""
+    def _quick(self, method: Method, n: int) -> Method:
+        """The same commands at control rate, of methods that are models; n: samples at once, of the first call."""
         if not isinstance(method, ModelMethod | HybridMethod):
             return method
         key = id(method)
         if key not in self._compensators:
-            made = Compensator.of(method, self.channels, self.description.workspace).compiled()
-            self._compensators[key] = _AtControlRate(method, made)
+            made = Compensator.of(method, self.channels, self.description.workspace)
+            self._compensators[key] = _AtControlRate(method, made.compiled() if n >= _PAYS else made)
         return self._compensators[key]
 
     def _home_position(self) -> np.ndarray:

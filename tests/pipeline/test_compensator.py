@@ -27,8 +27,6 @@ from urdf.errors import InputError
 from urdf.kinematics import pose_at
 from urdf.rigid_motion import Motion, exp, from_zyx_angles
 
-pytestmark = pytest.mark.xdist_group("compensator")  # one worker: the code is compiled once
-
 # robot, method, what is measured (and so desired)
 KINDS = {
     "ups3_s, geometric": ("ups3_s", "geometric", ("tilt", "yaw")),

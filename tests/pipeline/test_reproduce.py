@@ -49,8 +49,6 @@ QUICK = (
     *("correct.own_units=4", "correct.shared_units=4"),
 )
 
-pytestmark = pytest.mark.xdist_group("reproduction")  # one worker: the tiny study is dear
-
 # The command
 
 

@@ -17,8 +17,6 @@ GEOMETRIC_ALONE = ("measure.errors.elastic=false", "measure.errors.screw=false")
 OPEN_LOOP = ("evaluate.closed_loop=false",)
 TILT_ALONE = ('measure.channels=["tilt"]',)
 
-pytestmark = pytest.mark.xdist_group("six methods")  # one worker: the default run is dear
-
 
 @pytest.fixture(scope="session")
 def compared(tmp_path_factory):
