@@ -14,7 +14,7 @@ commands. Long ones, by name:
     learning_recordings  the six methods and scikit-learn's regressors on recorded robots; twenty minutes
     attitude          roll and pitch at sea beside smsfusion, Madgwick and an accelerometer, 20 seeds; five minutes
     static_poses      the filter of static poses beside the white-noise bound
-    compensator       microseconds a command of the exported C, samples a second in Python; three minutes
+    compensator       microseconds a command of the exported C, samples a second in Python; ten minutes
     predicted_regions    do the regions of predictions hold the truth; ten minutes
     ship_motion       generated ship motion beside waveresponse's statistics, and the replay of a log; a minute
 """

@@ -37,7 +37,7 @@ def test_three_files_that_say_where_they_come_from(session, tmp_path):
 
 
 def test_a_controllers_own_build(session, tmp_path):
-    """Warnings are errors, C99 and C++ alike; what comes out are the method's commands."""
+    """C99, warnings are errors; what comes out are the method's commands."""
     if find_compiler() is None:
         pytest.skip("there is no C compiler here")
     export_code(session, "geometric", tmp_path / "code")
