@@ -7,6 +7,7 @@ import os
 os.environ.setdefault("OMP_NUM_THREADS", "1")  # small matrices: BLAS threads only wait for each other
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
+import signal
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
@@ -25,6 +26,9 @@ from urdf.rigid_motion import Motion, exp, from_xyz_angles
 from urdf.workspace import WorkspaceReport, check_workspace, sample
 
 DATA = Path(__file__).parent / "data"
+
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # a shell's background job; Ctrl-C is tested here
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 settings.register_profile("kincal", deadline=None, derandomize=True, max_examples=20, print_blob=False)
 settings.load_profile("kincal")
