@@ -89,9 +89,7 @@ class _Codec:
         return self._keep(text.file, str(text).encode())
 
     def _table_out(self, table: Any) -> str:
-        buffer = io.BytesIO()
-        table.to_parquet(buffer, index=False)
-        return self._keep(f"table{len(self.files)}.parquet", buffer.getvalue())
+        return self._keep(f"table{len(self.files)}.parquet", table.to_parquet(index=False))
 
     def _table_in(self, name: str, _: type) -> Any:
         import pandas as pd

@@ -16,8 +16,8 @@ from pipeline.paper import AXES, INDICES, RANGES
 from pipeline.reproduce import Reproduced, Row
 from pipeline.reproduction import after_compensation, choices, figure_10, ranges, testing
 from pipeline.results import RAW
-from pipeline.tables import Table
-from pipeline.writing import refusing, replace_file
+from pipeline.tables import Table, degrees
+from pipeline.writing import replace_files
 
 LABELS = {"nominal": "before calibration", "network": "BP network", "transfer": "transfer network"}  # in the paper
 SCORED = {
@@ -81,11 +81,6 @@ def _verdicts(found: Reproduced, made: list[Claims]) -> list[str]:
     study = found.study
     ours_first = sorted((c for c in made if c.scored_on == "fresh"), key=lambda c: c.hidden != study.hidden)
     return said + [f"H = {c.hidden}: {c.better}; {c.fades}; {c.vanishes}" for c in ours_first]
-
-
-def degrees(value: float | None) -> str:
-    """More decimals of what is small."""
-    return "" if value is None else f"{value:.{5 if value < 0.01 else 4 if value < 0.1 else 3}f}"
 
 
 def cell(document: dict[str, Any], scored_on: str, method: str, axis: str, index: str) -> dict[str, Any]:
@@ -153,12 +148,10 @@ def page(made: Findings) -> str:
 
 def files(found: Reproduced, made: Findings) -> dict[str, bytes]:
     """{name: content} of the output folder. The same results give the same bytes."""
-    parquet = io.BytesIO()
-    found.table.to_parquet(parquet, index=False)
     return {
         **{f"{name}.svg": svg.encode() for name, svg in made.figures.items()},
         **{name: _csv(rows) for name, rows in made.tables.items()},
-        "results.parquet": parquet.getvalue(),
+        "results.parquet": found.table.to_parquet(index=False),
         "results.json": (json.dumps(made.document, indent=1, allow_nan=False) + "\n").encode(),
         "index.html": page(made).encode(),
     }
@@ -174,7 +167,5 @@ def _csv(rows: list[Row]) -> bytes:
 
 def write(found: Reproduced, made: Findings, folder: Path) -> Path:
     """All files, the page last, each replaced at once. Returns the page. Raises InputError."""
-    with refusing(f"--output {folder}"):
-        for name, content in files(found, made).items():
-            replace_file(folder / name, content)
+    replace_files(folder, files(found, made), f"--output {folder}")
     return folder / "index.html"

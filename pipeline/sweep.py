@@ -227,10 +227,6 @@ def output_folder(output: Path | None, default: Path) -> Path:
 
 def write(swept: Swept, folder: Path) -> tuple[Path, Path | None]:
     """sweep.parquet, and sweep.svg where a number was swept; what stood there is replaced at once."""
-    import io
-
-    buffer = io.BytesIO()
-    swept.table.to_parquet(buffer, index=False)
     over = next((o for o in swept.overs if o.numeric and o.key != "seed" and len(o.texts) > 1), None)
     drawn = None
     if over is not None and any(swept.table["method"].notna()):
@@ -239,7 +235,7 @@ def write(swept: Swept, folder: Path) -> tuple[Path, Path | None]:
         drawn = drawing(swept, over.key)
     table, figure = folder / "sweep.parquet", folder / "sweep.svg"
     with refusing(f"--output {folder}"):
-        replace_file(table, buffer.getvalue())
+        replace_file(table, swept.table.to_parquet(index=False))
         if drawn is not None:
             replace_file(figure, drawn.encode())
         else:

@@ -26,6 +26,11 @@ def fixed(value: float | None, digits: int) -> str:
     return "" if value is None else f"{value:.{digits}f}"
 
 
+def degrees(value: float | None) -> str:
+    """More decimals of what is small."""
+    return "" if value is None else f"{value:.{5 if value < 0.01 else 4 if value < 0.1 else 3}f}"
+
+
 def comparison_tables(methods: Sequence[MethodScore], raw: MethodScore | None = None) -> tuple[Table, ...]:
     """One row a method: orientation errors, then position errors; only what was measured has a table."""
     rows = [*([raw] if raw else []), *methods]

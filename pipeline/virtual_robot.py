@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import pandas as pd
+from scipy.constants import g
 
 from identification.error_model import BuiltRobot, ErrorModel
 from identification.measurements import default_channels as default_channels
@@ -21,8 +22,7 @@ from urdf.description import Sensor, Stream, VirtualErrors
 from urdf.kinematics import Closure, forward, passive_rates, tool_point_jacobian
 from urdf.rigid_motion import Motion, exp
 
-GRAVITY = 9.80665  # m/s^2
-STANDING = np.array([0.0, 0.0, GRAVITY])  # the specific force where nothing moves [m/s2]
+STANDING = np.array([0.0, 0.0, g])  # the specific force where nothing moves [m/s2]
 _SETTLING = 3  # iterations of load and deflection; each gains some four digits
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import uuid
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -27,6 +27,14 @@ def replace_file(file: Path, content: bytes, aside: Path | None = None) -> None:
         temporary.replace(file)
     finally:
         temporary.unlink(missing_ok=True)
+
+
+def replace_files(folder: Path, files: Mapping[str, bytes], what: str) -> None:
+    """Each replaced at once, in this order; the folder is made. Raises InputError, which names `what`."""
+    with refusing(what):
+        folder.mkdir(parents=True, exist_ok=True)
+        for name, content in files.items():
+            replace_file(folder / name, content)
 
 
 @contextmanager

@@ -148,4 +148,4 @@ def xyz_rates(angles: Array) -> Array:
 
 def wrap(angle: Array) -> Array:
     """Angles [rad] brought into (-pi, pi]."""
-    return np.arctan2(np.sin(angle), np.cos(angle))
+    return np.pi - (np.pi - angle) % (2 * np.pi)

@@ -10,9 +10,9 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.constants import g
 from scipy.spatial.transform import Rotation
 
-from identification.attitude.presets import GRAVITY
 from identification.attitude.settings import AttitudeSettings, Samples
 
 _SPIKE = 8.0  # robust sigmas within a block: a wave does not jump
@@ -110,7 +110,7 @@ def _force(samples: Samples, settings: AttitudeSettings, rate_hz: float) -> tupl
     assert samples.tilt is not None
     roll, pitch = samples.tilt.T
     up = np.stack([-np.sin(pitch), np.cos(pitch) * np.sin(roll), np.cos(pitch) * np.cos(roll)], axis=1)
-    return GRAVITY * up, GRAVITY * settings.sensor.tilt_noise
+    return g * up, g * settings.sensor.tilt_noise
 
 
 def _padded(values: np.ndarray, missing: int) -> np.ndarray:

@@ -13,13 +13,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.constants import g
 from scipy.special import chdtri
 
 from identification.attitude import wave_band
 from identification.attitude.adaptation import Adaptation
 from identification.attitude.blocks import Blocks
 from identification.attitude.motion import Layout, Nominal, move, rotation_of, swing_model, wave_model
-from identification.attitude.presets import GRAVITY
 from identification.attitude.settings import AttitudeSettings
 from urdf.errors import InputError
 from urdf.rigid_motion import cross, from_zyx_angles, zyx_angles
@@ -141,7 +141,7 @@ class ErrorStateFilter:
         s, settings, layout = self.settings.sensor, self.settings, self.layout
         p = np.zeros((layout.size, layout.size))
         wave = 0.0 if settings.waves is None else settings.waves.acceleration
-        tilt = (2 * (wave + s.acceleration_bias) / GRAVITY) ** 2 + np.deg2rad(0.5) ** 2
+        tilt = (2 * (wave + s.acceleration_bias) / g) ** 2 + np.deg2rad(0.5) ** 2
         if layout.gyro:
             tilt += (s.gyro_bias * settings.start_s) ** 2
             p[layout.rates, layout.rates] = s.gyro_bias**2 * np.eye(3)

@@ -6,15 +6,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial.transform import Rotation
+from scipy.constants import g
 
 from identification.attitude.blocks import Blocks
 from identification.attitude.error_state import Update
 from identification.attitude.innovations import statistics
 from identification.attitude.motion import Nominal
-from identification.attitude.presets import GRAVITY
 from identification.attitude.settings import AttitudeEstimate, InnovationStatistics
-from urdf.rigid_motion import zyx_angles
+from urdf.rigid_motion import exp, zyx_angles
 
 
 @dataclass(frozen=True)
@@ -50,7 +49,7 @@ def estimate(n: int, blocks: Sequence[Blocks], stretches: Sequence[Stretch], lea
         rotation = within(part, start[rows], gyro_bias[rows], turn[rows])
         if corrections:
             before, after = np.array(corrections[rows])[:, :, None].swapaxes(0, 1)
-            rotation = _matrices(before + part.share[:, :, None] * (after - before)) @ rotation
+            rotation = exp(before + part.share[:, :, None] * (after - before)) @ rotation
         angles.append(roll_pitch_yaw(rotation).reshape(-1, 3))
         first = rows.stop
     all_angles = np.concatenate(angles)[:n]
@@ -74,7 +73,7 @@ def estimate(n: int, blocks: Sequence[Blocks], stretches: Sequence[Stretch], lea
 def within(blocks: Blocks, start: np.ndarray, gyro_bias: np.ndarray, turn: np.ndarray) -> np.ndarray:
     """(b, m, 3, 3) rotations at all samples, from those at the starts of the blocks (b, 3, 3)."""
     own = blocks.partial - blocks.elapsed[:, :, None] * gyro_bias[:, None]
-    return _matrices(blocks.share[:, :, None] * turn[:, None]) @ start[:, None] @ _matrices(own)
+    return exp(blocks.share[:, :, None] * turn[:, None]) @ start[:, None] @ exp(own)
 
 
 def roll_pitch_yaw(rotation: np.ndarray) -> np.ndarray:
@@ -84,7 +83,7 @@ def roll_pitch_yaw(rotation: np.ndarray) -> np.ndarray:
 
 def bias_free(covariance: np.ndarray, tilt: np.ndarray) -> np.ndarray:
     """(2, 2) of the turn about x and y, but for the bias. covariance: of all errors; tilt: (2, size)."""
-    turned = np.array([tilt[1], -tilt[0]]) / GRAVITY  # what a level force means as a turn about x and y
+    turned = np.array([tilt[1], -tilt[0]]) / g  # what a level force means as a turn about x and y
     return turned @ covariance @ turned.T
 
 
@@ -113,7 +112,3 @@ def innovation_statistics(stretches: Sequence[Stretch]) -> tuple[InnovationStati
             values, gated = zip(*came, strict=True)
             found.append(statistics(channel, np.array(values), np.array(gated)))
     return tuple(found)
-
-
-def _matrices(vectors: np.ndarray) -> np.ndarray:
-    return Rotation.from_rotvec(vectors.reshape(-1, 3)).as_matrix().reshape(*vectors.shape, 3)

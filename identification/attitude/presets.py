@@ -5,12 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.constants import g
 
 from urdf.description import nearest
 from urdf.errors import InputError
 
-GRAVITY = 9.80665  # [m/s2] ISO 80000-3
-_DEG, _MILLI_G = np.pi / 180, 1e-3 * GRAVITY
+_DEG, _MILLI_G = np.pi / 180, 1e-3 * g
 
 
 @dataclass(frozen=True)

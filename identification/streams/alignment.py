@@ -8,8 +8,9 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from identification.streams.columns import ANGLES, wrapped
+from identification.streams.columns import ANGLES
 from urdf.errors import InputError
+from urdf.rigid_motion import wrap
 
 _LEAST = 10  # samples in common
 
@@ -46,8 +47,8 @@ def align(first: pd.DataFrame, second: pd.DataFrame, widest: float = 2.0) -> Ali
     angles = {c: first[c].to_numpy(float)[inside] for c in channels}
 
     def difference(channel: str, lag: float) -> np.ndarray:
-        apart = wrapped(angles[channel] - splines[channel](t + lag))
-        return wrapped(apart - apart[0]) + apart[0]  # on one side of +-180 degrees
+        apart = wrap(angles[channel] - splines[channel](t + lag))
+        return wrap(apart - apart[0]) + apart[0]  # on one side of +-180 degrees
 
     def scatter(lag: float) -> float:
         return float(sum(np.var(difference(c, lag)) for c in ("roll", "pitch")))

@@ -13,10 +13,10 @@ from pathlib import Path
 import numpy as np
 
 from identification.streams.campaign import ClockOffset
-from identification.streams.columns import wrapped
 from identification.streams.commands import Holds
 from identification.streams.stillness import Bins
 from urdf.errors import InputError
+from urdf.rigid_motion import wrap
 
 _PAIRS = 2000  # events of either side that are paired
 _FEWER = 0.6  # of the best candidate's pairs: others are still worth a look
@@ -86,7 +86,7 @@ def _misfit(bins: Bins, holds: Holds, lag: float) -> float:
     if len(joints) < design.shape[1] + 4:
         return np.inf
     angles = np.median(np.stack([bins.medians[k - j, :2] for j in range(_BEFORE)]).astype(float), axis=0)
-    angles = wrapped(angles - angles[0])
+    angles = wrap(angles - angles[0])
     angles -= angles.mean(axis=0)
     left = angles - design @ np.linalg.lstsq(design, angles, rcond=None)[0]
     freedom = (len(joints) - 1) / (len(joints) - design.shape[1])

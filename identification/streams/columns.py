@@ -73,8 +73,3 @@ def clock(text: str) -> float:
         if abs(value) >= size:
             return value / (size / 1e8)
     return value
-
-
-def wrapped(angle: np.ndarray) -> np.ndarray:
-    """[rad] within (-pi, pi]."""
-    return np.pi - (np.pi - angle) % (2 * np.pi)

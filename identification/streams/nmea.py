@@ -16,11 +16,11 @@ from typing import Any, BinaryIO
 import numpy as np
 import pandas as pd
 
-from identification.streams.columns import wrapped
 from identification.streams.health import Tally
 from identification.streams.nmea_time import Clock, FromSentences, FromStamps, Nominal, stamped
 from urdf.description import Log
 from urdf.errors import InputError
+from urdf.rigid_motion import wrap
 
 ATTITUDE = ("PSXN", "PASHR", "PRDID", "XDR")
 _ROWS = 20_000  # a chunk
@@ -153,7 +153,7 @@ _XDR = {"roll": ("ROLL", "HEEL"), "pitch": ("PITCH", "PTCH")}
 def _chunk(rows: list[tuple[float, ...]]) -> pd.DataFrame:
     t, roll, pitch, heading, heave_down = np.array(rows, dtype=float).reshape(-1, 5).T
     radians = np.deg2rad([roll, -pitch, -heading])
-    angles = dict(zip(("roll", "pitch", "yaw"), wrapped(radians), strict=True))
+    angles = dict(zip(("roll", "pitch", "yaw"), wrap(radians), strict=True))
     return pd.DataFrame({"t": t, **angles, "heave": -heave_down})
 
 

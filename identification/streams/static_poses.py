@@ -13,12 +13,13 @@ from identification.streams.clock_offset import estimate_offset
 from identification.streams.columns import ANGLES, OPTIONAL
 from identification.streams.commands import read_commands
 from identification.streams.reading import complete, open_stream
+from identification.streams.repeats import STUCK
 from identification.streams.stillness import binned
 from identification.streams.windows import Window, still_windows
 from urdf.description import Measure
 from urdf.errors import InputError
 
-_LEAST, _STUCK = 5, 10  # samples a pose; so many that are all alike are a stuck channel's
+_LEAST = 5  # samples a pose
 
 
 @dataclass(frozen=True)
@@ -91,6 +92,6 @@ def _unusable(samples: pd.DataFrame, poses: list[int]) -> list[DroppedPose]:
     }
     values = samples.groupby("pose")[[c for c in ANGLES if c in samples]].nunique()
     for channel in values:
-        for p in pose[(np.asarray(values[channel]) == 1) & (count >= _STUCK)].tolist():
+        for p in pose[(np.asarray(values[channel]) == 1) & (count >= STUCK)].tolist():
             dropped[p] = f"channel {channel!r} is stuck for all {found[p]} samples"
     return [DroppedPose(p, reason) for p, reason in dropped.items()]

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
-from identification.streams.columns import wrapped
+from urdf.rigid_motion import wrap
 
 CHANNELS = ("roll", "pitch", "gyro_x", "gyro_y", "gyro_z")
 _SAMPLES, _SECONDS = 5, 0.2  # a bin holds at least so many, and lasts at least so long
@@ -43,7 +43,7 @@ class Bins:
         return self._moved(1) | self._moved(max(1, round(_SLOW / self.width))) | self._turning()
 
     def _moved(self, lag: int) -> np.ndarray:
-        apart = np.abs(wrapped(self.medians[lag:, :2] - self.medians[:-lag, :2]))
+        apart = np.abs(wrap(self.medians[lag:, :2] - self.medians[:-lag, :2]))
         near = self.start[lag:] - self.start[:-lag] < 2 * lag * self.width  # across a gap anything may have happened
         white = np.sqrt(2) * self._sigma[:2]
         if near.any():  # noise that is not white moves the medians more, but not any motion is noise

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from identification.streams.campaign import DroppedPose
-from identification.streams.columns import wrapped
 from identification.streams.commands import Holds
 from identification.streams.stillness import Bins
 from urdf.description import Log
+from urdf.rigid_motion import wrap
 
 _MOST = 0.9  # of the moves that are seen: one pose that is long restless says nothing of the others
 _DRIFT = 5.0  # standard errors of a stretch's drift
@@ -95,7 +95,7 @@ def _drift(bins: Bins, begin: float, end: float) -> float | None:
         return None
     t = bins.start[low:high] - bins.start[low:high].mean()
     angles = bins.medians[low:high, :2].astype(float)
-    angles = wrapped(angles - angles[0])
+    angles = wrap(angles - angles[0])
     slope = t @ (angles - angles.mean(axis=0)) / (t @ t)
     left = angles - angles.mean(axis=0) - np.outer(t, slope)
     error = np.sqrt((left**2).sum(axis=0) / (len(t) - 2) / (t @ t))

@@ -19,10 +19,11 @@ from pipeline.sea.settings import Seaway
 from pipeline.sea.ship_motion import ShipMotion
 from pipeline.sea.synthesis import generated, rao_of
 from pipeline.sea.trial import START_S, Platform, SeaTrial, Trial, sea_trial
-from pipeline.sea.trial_document import AXES, degrees, document, parquet, series
+from pipeline.sea.trial_document import AXES, document, series
 from pipeline.stages import error_model, used_poses
+from pipeline.tables import degrees
 from pipeline.virtual_robot import VirtualRobot
-from pipeline.writing import refusing, replace_file
+from pipeline.writing import replace_files
 from urdf.errors import InputError
 
 MOST_MINUTES = 60.0  # memory, and patience
@@ -82,12 +83,8 @@ def _replay(log: Path, sea: Seaway) -> tuple[ShipMotion, str]:
     samples, health = read_log(log, Measure())
     heave = samples["heave"].to_numpy(float) if "heave" in samples else None
     yaw = samples["yaw"].to_numpy(float) if "yaw" in samples else np.zeros(len(samples))
-    known = np.isfinite(samples[["roll", "pitch"]].to_numpy(float)).all(axis=1) & np.isfinite(yaw)
-    if heave is not None:
-        known &= np.isfinite(heave)
-    at = samples["t"].to_numpy(float)[known]
-    roll, pitch = samples[["roll", "pitch"]].to_numpy(float)[known].T
-    motion = replayed(at, roll, pitch, yaw[known], None if heave is None else heave[known], sea.rate_hz, str(log))
+    t, roll, pitch = samples[["t", "roll", "pitch"]].to_numpy(float).T
+    motion = replayed(t, roll, pitch, yaw, heave, sea.rate_hz, str(log))
     most = round((START_S + 60 * sea.minutes) * sea.rate_hz)
     columns = {name: values[:most] for name, values in vars(motion).items() if isinstance(values, np.ndarray)}
     return replace(motion, **columns), f"The motion recorded in {log.name}, {health.samples} samples"
@@ -115,12 +112,9 @@ def write(found: Found, folder: Path) -> Path:
     )
     files = {
         **{f"{name}.svg": svg.encode() for name, svg in drawn.items()},
-        "series.parquet": parquet(series(found.trial)),
+        "series.parquet": series(found.trial).to_parquet(index=False),
         "results.json": (json.dumps(found.document, indent=1, allow_nan=False) + "\n").encode(),
         "index.html": html.encode(),
     }
-    with refusing(str(folder)):
-        folder.mkdir(parents=True, exist_ok=True)
-        for name, content in files.items():
-            replace_file(folder / name, content)
+    replace_files(folder, files, str(folder))
     return folder / "index.html"

@@ -10,12 +10,13 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.constants import g
 
 from identification.channels import parts
 from pipeline.compensation import attempt
 from pipeline.goal import Goal
 from pipeline.sea.trial import Platform, deck_error
-from pipeline.virtual_robot import GRAVITY, STANDING
+from pipeline.virtual_robot import STANDING
 
 # Xu, Tian & Zhang 2024, tables 3 and 4, in degrees: (x, y, z, volumetric) on the testing configurations
 PAPER: Mapping[str, Mapping[str, tuple[float, float, float, float]]] = {
@@ -56,7 +57,7 @@ def configurations(platform: Platform, readings: np.ndarray, test: np.ndarray) -
     actual = platform.actual.pose(readings, platform.actual.after_campaign(readings))
     drawn = platform.methods["nominal"].predict(readings)
     desired = Goal(platform.actual.robot, actual, parts(channels)).filled(drawn)
-    force = GRAVITY * desired.rotation[:, :, 2]  # the deck is level, the ship is not
+    force = g * desired.rotation[:, :, 2]  # the deck is level, the ship is not
     errors, tilted = {}, {}
     for name, method in platform.methods.items():
         tried = attempt(method, desired, model.chain, model.actuators, channels)

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
@@ -102,7 +103,7 @@ class Platform:
     actual: VirtualRobot
     methods: Mapping[str, Method]  # the raw nominal robot first
     channels: tuple[str, ...]
-    _compensators: dict[int, Method] = field(default_factory=dict, repr=False, compare=False)
+    _compensators: dict[int, Method] = field(default_factory=dict, repr=False, compare=False)  # {id of a method: its}
 
     @property
     def turns(self) -> bool:
@@ -127,23 +128,28 @@ class Platform:
                 f"{name}: measured are {found}; a sea trial needs tilt or orientation to have been measured"
             )
 
+    @cached_property
+    def home(self) -> Motion:
+        """Of the deck (1,), as the identified model has it."""
+        readings = self.model.actuators.readings(self.model.chain.home[None, self.model.chain.actuated])
+        return self.methods["geometric"].predict(readings)
+
     def level_yaw(self) -> float:
-        """Of the deck at home, as the identified model has it [rad]."""
-        home = self.model.actuators.readings(self.model.chain.home[None, self.model.chain.actuated])
-        return float(zyx_angles(self.methods["geometric"].predict(home).rotation)[0, 0])
+        """Of the deck at home [rad]."""
+        return float(zyx_angles(self.home.rotation)[0, 0])
 
     def commands(self, method: Method, rotation: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Readings (n, n_actuated) for orientations (n, 3, 3), and which have any; else the last one stands.
 
         Of a tool with two axes to turn about, the deck's normal is what is asked for: its heading follows the robot.
         """
-        position, found = self._home_position(), []
+        found = []
         for first in range(0, len(rotation), _AT_ONCE):
             wanted = rotation[first : first + _AT_ONCE]
-            tried = self._attempt(method, wanted, position)
+            tried = self._attempt(method, wanted)
             for _ in range(0 if self.turns else _NORMAL):
                 predicted = method.predict(tried.readings).rotation
-                tried = self._attempt(method, _turned_to(predicted, wanted[:, :, 2]), position)
+                tried = self._attempt(method, _upright(predicted, wanted))
             found.append((tried.readings, tried.good(self.model.chain, self.description.workspace)))
         readings, good = (np.concatenate(part) for part in zip(*found, strict=True))
         if good.mean() < _LEAST_REACHED:
@@ -164,8 +170,8 @@ class Platform:
             found.append(self.actual.pose(readings[rows], now, force[rows]).rotation)
         return np.concatenate(found)
 
-    def _attempt(self, method: Method, rotation: np.ndarray, position: np.ndarray) -> Attempt:
-        desired = Motion(rotation, np.broadcast_to(position, (len(rotation), 3)))
+    def _attempt(self, method: Method, rotation: np.ndarray) -> Attempt:
+        desired = Motion(rotation, np.broadcast_to(self.home.translation, (len(rotation), 3)))
         return attempt(
             self._quick(method, len(rotation)), desired, self.model.chain, self.model.actuators, self.channels
         )
@@ -179,10 +185,6 @@ class Platform:
             made = Compensator.of(method, self.channels, self.description.workspace)
             self._compensators[key] = _AtControlRate(method, made.compiled() if n >= _PAYS else made)
         return self._compensators[key]
-
-    def _home_position(self) -> np.ndarray:
-        home = self.model.actuators.readings(self.model.chain.home[None, self.model.chain.actuated])
-        return self.methods["geometric"].predict(home).translation[0]
 
 
 @dataclass(frozen=True)
@@ -201,13 +203,9 @@ class _AtControlRate:
         return found.readings, found.reached
 
 
-def _turned_to(rotation: np.ndarray, normal: np.ndarray) -> np.ndarray:
-    """Orientations (n, 3, 3) by the smallest turn so that their z axes are `normal` (n, 3)."""
-    axis = np.cross(rotation[:, :, 2], normal)
-    sine = np.linalg.norm(axis, axis=1, keepdims=True)
-    cosine = np.sum(rotation[:, :, 2] * normal, axis=1, keepdims=True)
-    angle = np.where(sine > 1e-12, np.arctan2(sine, cosine) / np.maximum(sine, 1e-12), 1.0)
-    return exp(axis * angle) @ rotation
+def _upright(rotation: np.ndarray, wanted: np.ndarray) -> np.ndarray:
+    """Orientations (n, 3, 3), by the smallest turn that brings their z axes to those of `wanted` (n, 3, 3)."""
+    return exp(gravity_error(wanted.swapaxes(1, 2), rotation.swapaxes(1, 2))) @ rotation
 
 
 def sea_trial(platform: Platform, motion: ShipMotion, rate_hz: float, settings: Trial) -> SeaTrial:
@@ -236,9 +234,9 @@ def sea_trial(platform: Platform, motion: ShipMotion, rate_hz: float, settings: 
         in_port = sea[few].error(platform.poses(ideal, STANDING))
         in_port[~found] = np.nan
         sailed.append(Sailed(name, sea.error(decks[name]), in_port, int(np.sum(~good))))
-    parts = {"filter": sea[few].error(levelling(estimate.roll_pitch_yaw[at], yaw)[few])}
+    alone = {"filter": sea[few].error(levelling(estimate.roll_pitch_yaw[at], yaw)[few])}
     known = control.asked(motion.angles, motion.angular_rate, yaw)[at]
-    parts |= _moving(platform, control, sea, known, few)
+    alone |= _moving(platform, control, sea, known, few)
     watched = (_watched(name, motion, decks[name], at, rate_hz, settings, watch) for name in (RAW, *list(decks)[-1:]))
     return SeaTrial(
         robot=platform.description.name,
@@ -250,7 +248,7 @@ def sea_trial(platform: Platform, motion: ShipMotion, rate_hz: float, settings: 
         filtered=estimate.roll_pitch_yaw[at, :2],
         innovations=estimate.innovations,
         methods=tuple(sailed),
-        parts=parts,
+        parts=alone,
         watched=tuple(watched),
     )
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
@@ -10,7 +9,7 @@ import numpy as np
 
 from pipeline.sea.configurations import PAPER, Configurations
 from pipeline.sea.trial import SeaTrial
-from pipeline.tables import Table
+from pipeline.tables import Table, degrees
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -159,12 +158,6 @@ def series(trial: SeaTrial) -> pd.DataFrame:
     return table.astype({name: "float32" for name in columns if name != "t"})
 
 
-def parquet(table: pd.DataFrame) -> bytes:
-    buffer = io.BytesIO()
-    table.to_parquet(buffer, index=False)
-    return buffer.getvalue()
-
-
 def _word(name: str) -> str:
     return name.replace(", ", "_").replace(" ", "_")
 
@@ -203,8 +196,3 @@ def summary(found: dict[str, Any]) -> list[tuple[str, Table]]:
             Table(("method", "mean", "paper", "max", "paper", "SD", "paper", "mean, tilted load"), tuple(rows)),
         ),
     ]
-
-
-def degrees(value: float | None) -> str:
-    """More decimals of what is small."""
-    return "" if value is None else f"{value:.{5 if value < 0.01 else 4 if value < 0.1 else 3}f}"

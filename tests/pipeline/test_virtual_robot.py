@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 from identification.error_model import ErrorModel
 from pipeline.artifacts import encode
 from pipeline.results import Measured, Model, PosePlan
-from pipeline.virtual_robot import GRAVITY, VirtualRobot, draw
+from pipeline.virtual_robot import VirtualRobot, draw
 from pipeline.virtual_robot import measure as sense
 from urdf.description import Sensor, VirtualErrors
 from urdf.kinematics import forward
@@ -96,7 +96,7 @@ def test_deflection_is_that_of_statics(scene, centre):
     leg = legs(pose.rotation)
     arms = np.einsum("nij,kj->nki", pose.rotation, HEADS)
     moments = np.cross(arms, leg / np.linalg.norm(leg, axis=2, keepdims=True))  # of unit thrusts along the legs
-    weight = np.array([0.0, 0.0, errors.payload_kg * GRAVITY])
+    weight = np.array([0.0, 0.0, errors.payload_kg * 9.80665])
     load = np.cross(pose.rotation @ (np.array(centre) * 1e-3), weight)
     thrust = np.linalg.solve(moments.swapaxes(1, 2), load[..., None])[..., 0]
     expected = -thrust / errors.stiffness_n_per_m

@@ -8,7 +8,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from identification.attitude.filter import AttitudeFilter, filter_attitude
-from identification.attitude.presets import GRAVITY, PRESETS
+from identification.attitude.presets import PRESETS
 from identification.attitude.settings import AttitudeSettings, Samples, WaveBand
 from identification.attitude.smoother import smooth_attitude
 from urdf.errors import InputError
@@ -16,6 +16,7 @@ from urdf.errors import InputError
 SENSOR = PRESETS["industrial"]
 STILL = AttitudeSettings(waves=None)
 RATE = 50.0
+GRAVITY = 9.80665  # m/s2
 
 
 def held(angles_deg, seconds: float = 20.0, noise: float = 0.0, seed: int = 0):

@@ -16,7 +16,7 @@ from pipeline.sea.control import levelling
 from pipeline.sea.settings import Seaway
 from pipeline.sea.synthesis import generated, rao_of
 from pipeline.sea.trial import START_S, Platform, Trial, deck_error, sea_trial
-from pipeline.virtual_robot import GRAVITY, STANDING, VirtualRobot, draw
+from pipeline.virtual_robot import STANDING, VirtualRobot, draw
 from urdf.description import VirtualErrors
 from urdf.rigid_motion import exp
 
@@ -83,7 +83,7 @@ def test_the_load_follows_the_specific_force(built):
     assert first > 1e-7
     assert second == pytest.approx(2 * first, rel=1e-3)
     np.testing.assert_array_equal(once, platform.actual.pose(home, platform.actual.after_campaign(home)).rotation)
-    aside = platform.poses(home, np.array([GRAVITY, 0.0, 0.0]))
+    aside = platform.poses(home, np.array([9.80665, 0.0, 0.0]))
     assert np.abs(deck_error(once, aside, True)).max() > 1e-7
 
 
