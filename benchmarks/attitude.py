@@ -14,14 +14,19 @@ import argparse
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
+from scipy.constants import g
 
-from benchmarks.vessel_motion import GRAVITY, VesselMotion, sea_state
 from identification.attitude.filter import filter_attitude
-from identification.attitude.presets import PRESETS, SensorPreset
+from identification.attitude.presets import PRESETS
 from identification.attitude.settings import AttitudeEstimate, AttitudeSettings, Samples
 from identification.attitude.smoother import smooth_attitude
+from pipeline.sea.instruments import sensed
+from pipeline.sea.settings import Seaway
+from pipeline.sea.ship_motion import ShipMotion
+from pipeline.sea.synthesis import generated, rao_of
 from urdf.rigid_motion import from_zyx_angles
 
 RATE_HZ = 50.0
@@ -31,39 +36,26 @@ SENSOR = PRESETS["industrial"]
 
 @dataclass(frozen=True)
 class Record:
-    motion: VesselMotion
+    motion: ShipMotion
     acceleration: np.ndarray  # (n, 3) as measured
     gyro: np.ndarray
     bias: np.ndarray  # (3,) of the accelerometer at switch-on
 
     def bias_tilt(self) -> np.ndarray:
         """(n, 2) the error of roll and pitch that the accelerometer's bias looks like [rad]."""
-        angles = self.motion.roll_pitch_yaw * [1.0, 1.0, 0.0]
+        angles = self.motion.angles * [1.0, 1.0, 0.0]
         level = from_zyx_angles(angles[:, ::-1]) @ self.bias
-        return np.stack([level[:, 1], -level[:, 0]], axis=1) / GRAVITY
+        return np.stack([level[:, 1], -level[:, 0]], axis=1) / g
 
 
-def record(motion: VesselMotion, sensor: SensorPreset, seed: int) -> Record:
-    """What a sensor measures of a motion: white noise, a bias at switch-on and one that wanders."""
-    random, n = np.random.default_rng([seed, 22]), len(motion.t)
-    rate_hz = 1 / (motion.t[1] - motion.t[0])
-
-    def error(noise: float, bias: np.ndarray, instability: float) -> np.ndarray:
-        keep = np.exp(-1 / (rate_hz * sensor.instability_s))
-        wander, kicks = np.zeros((n, 3)), instability * np.sqrt(1 - keep**2) * random.normal(size=(n, 3))
-        wander[0] = instability * random.normal(size=3)
-        for k in range(1, n):
-            wander[k] = keep * wander[k - 1] + kicks[k]
-        return bias + wander + noise * np.sqrt(rate_hz) * random.normal(size=(n, 3))
-
-    bias = sensor.acceleration_bias * random.normal(size=3)
-    gyro_bias = sensor.gyro_bias * random.normal(size=3)
-    return Record(
-        motion,
-        motion.specific_force() + error(sensor.acceleration_noise, bias, sensor.acceleration_instability),
-        motion.body_rates + error(sensor.gyro_noise, gyro_bias, sensor.gyro_instability),
-        bias,
-    )
+def record(sea_state: Literal[3, 4, 5, 6], seconds: float, seed: int) -> Record:
+    """Of the default ship, as `kincal sea-trial` moves her, measured where she turns."""
+    sea = Seaway(sea_state=sea_state, minutes=seconds / 60, rate_hz=RATE_HZ, seed=seed)
+    motion = generated(sea, rao_of(sea))
+    found = sensed(motion.specific_force(), motion.angular_rate, RATE_HZ, SENSOR, [seed, 22])
+    assert found.samples.acceleration is not None
+    assert found.samples.gyro is not None
+    return Record(motion, found.samples.acceleration, found.samples.gyro, found.bias)
 
 
 def accelerometer_alone(record: Record) -> np.ndarray:
@@ -149,12 +141,12 @@ def main() -> None:
     squares: dict[str, list] = {name: [] for name in methods}
     seconds, within, bias = dict.fromkeys(methods, 0.0), [], []
     for seed in range(asked.seeds):
-        sample = record(sea_state(asked.sea_state, asked.seconds, RATE_HZ, seed), SENSOR, seed)
+        sample = record(asked.sea_state, asked.seconds, seed)
         bias.append(np.mean(sample.bias_tilt() ** 2))
         windows = [(sample.motion.t >= s) & (sample.motion.t < s + WINDOW_S) for s in TIMES]
         for name, method in methods.items():
             began = time.process_time()
-            errors = method(sample) - sample.motion.roll_pitch_yaw[:, :2]
+            errors = method(sample) - sample.motion.angles[:, :2]
             seconds[name] += time.process_time() - began
             net = errors - sample.bias_tilt()
             squares[name].append([[np.mean(e[w] ** 2) for w in windows] for e in (net, errors)])

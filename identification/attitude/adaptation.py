@@ -22,6 +22,7 @@ _PERIOD_S = (3.0, 30.0)
 _LEAST = 1e-3  # acceleration of waves [m/s2]
 _DAMPING = (0.1, 0.8)
 _NOISE = (0.25, 1e4)
+_BY_DAMPING, _BY_SIZE = 0.65, 0.37  # powers by which the innovations' variance grows, in a moderate sea
 
 
 class Adaptation:
@@ -47,7 +48,12 @@ class Adaptation:
             return
         # at first a plain mean over what has come, later forgetting
         share = max(1 - np.exp(-dt / self.settings.adapt_s), dt / (_FIRST_S + self.elapsed - _SETTLE_S))
-        now = self.noise if self.sea is None or waves is None else (self.sea.damping / waves.damping) ** 2
+        now = (
+            self.noise
+            if self.sea is None or waves is None
+            else (self.sea.damping / waves.damping) ** _BY_DAMPING
+            * (self.sea.acceleration / waves.acceleration) ** _BY_SIZE
+        )
         self.needed += share * (now * float(normalised @ normalised) / 2 - self.needed)
         if waves is not None:
             x, y = nominal.wave**2 + covariance.diagonal()[layout.band].reshape(2, -1)
@@ -58,7 +64,9 @@ class Adaptation:
         if waves is None:
             self.noise = float(np.clip(self.needed, *_NOISE))
         else:
-            damping = float(np.clip(waves.damping * self.needed**0.5, *_DAMPING))
+            acceleration = max(float(np.sqrt(self.moments[0])), _LEAST)
+            smaller = (waves.acceleration / acceleration) ** _BY_SIZE
+            damping = float(np.clip(waves.damping * (self.needed * smaller) ** (1 / _BY_DAMPING), *_DAMPING))
             ratio = 2 * np.pi * wave_band.acceleration_by_velocity(damping)
             period = float(np.clip(ratio * np.sqrt(self.moments[1] / self.moments[0]), *_PERIOD_S))
-            self.sea = Sea(period, max(float(np.sqrt(self.moments[0])), _LEAST), damping)
+            self.sea = Sea(period, acceleration, damping)

@@ -68,6 +68,7 @@ class ErrorStateFilter:
             np.zeros(3),
             np.zeros((2, wave_band.ORDER)),
         )
+        self.elapsed, self.mean_tilt = 0.0, np.zeros(2)  # [s]; pitch, roll [rad]
         self.ekf = ExtendedKalmanFilter(dim_x=self.layout.size, dim_z=2)
         self.ekf.x = np.zeros(self.layout.size)
         self.ekf.P = self._start_covariance(heading)
@@ -77,12 +78,13 @@ class ErrorStateFilter:
     def advance(self, blocks: Blocks, k: int) -> Step:
         """Through block k: the target's motion, then its specific force and heading."""
         before, sea, dt = self.nominal, self.adaptation.sea, float(blocks.dt[k])
-        moved = move(before, dt, float(blocks.gap[k]), blocks.rotation[k], sea, self.layout, self.settings)
+        steady = self._steady(dt)
+        moved = move(before, steady, dt, float(blocks.gap[k]), blocks.rotation[k], sea, self.layout, self.settings)
         self.nominal, self.ekf.F, self.ekf.Q = moved.nominal, moved.transition, moved.noise
         self.ekf.predict()
         predicted, prior = self.nominal, self.ekf.P
         middle = before.rotation if self.layout.gyro else rotation_of(moved.turn / 2) @ before.rotation
-        u, tilt = self._level_force(blocks.force[k], middle, dt, before)
+        u, tilt = self._level_force(blocks.force[k], middle, steady, dt, before)
         force = self._force(u, tilt, float(blocks.force_variance[k]))
         heading = self._heading(float(blocks.heading[k]))
         if force.normalised is not None and not force.gated:
@@ -90,16 +92,30 @@ class ErrorStateFilter:
         return Step(self.nominal, self.ekf.P, tilt, moved.turn, force, heading, moved.transition, predicted, prior)
 
     def _level_force(
-        self, force: np.ndarray, rotation: np.ndarray, dt: float, before: Nominal
+        self, force: np.ndarray, rotation: np.ndarray, steady: np.ndarray, dt: float, before: Nominal
     ) -> tuple[np.ndarray, np.ndarray]:
         """(3,) [m/s2] without its bias, and (2, size) how its x and y come from the attitude and the bias."""
         if self.layout.gyro:  # the mean was taken along the gyro's rotation, with its bias
             force = force - cross(0.5 * dt * before.gyro_bias, force)
         u = rotation @ (force - before.bias)
         tilt = np.zeros((2, self.layout.size))
-        tilt[0, 1], tilt[1, 0] = -u[2], u[2]
-        tilt[:, self.layout.bias] = rotation[:2]
+        down = u[2] if self.settings.waves is None else g
+        tilt[0, 1], tilt[1, 0] = -down, down
+        tilt[:, self.layout.bias] = steady[:2]
         return u, tilt
+
+    def _steady(self, dt: float) -> np.ndarray:
+        """(3, 3) attitude at which errors are linearised: in a seaway without the waves' share, but for yaw.
+
+        Errors that turn with roll and pitch, or grow with heave, could be told apart by it; but the same waves push the
+        target sideways in step with that. What of it fits would be taken for a bias, and grow for minutes.
+        """
+        if self.settings.waves is None:
+            return self.nominal.rotation
+        yaw, *now = zyx_angles(self.nominal.rotation)
+        self.elapsed += dt
+        self.mean_tilt += dt / min(self.elapsed, self.settings.adapt_s) * (now - self.mean_tilt)
+        return from_zyx_angles(np.array([yaw, *self.mean_tilt]))
 
     def _force(self, u: np.ndarray, tilt: np.ndarray, variance: float) -> Update:
         if not np.isfinite(variance):

@@ -26,6 +26,8 @@ def statistics(channel: str, normalised: np.ndarray, gated: np.ndarray) -> Innov
         return InnovationStatistics(channel, n, int(gated.sum()), nan, (nan, nan), nan, nan, nan, nan, said)
     mean = float(squared.mean()) / k
     effective = len(good) / max(1.0, 1 + 2 * float(np.sum(_autocorrelation(squared - squared.mean()).clip(0))))
+    together = np.corrcoef(good.T).reshape(k, k)  # long-crested waves push along one line
+    effective *= k / float(np.sum(together**2))
     half = _NORMAL * float(np.sqrt(2 / (k * effective)))
     lags = np.mean([_autocorrelation(column) for column in good.T], axis=0)
     white = float(np.mean(np.abs(lags) <= _NORMAL / np.sqrt(len(good) * k)))

@@ -101,6 +101,7 @@ class Moved:
 
 def move(
     nominal: Nominal,
+    steady: np.ndarray,
     dt: float,
     gap: float,
     rotation: np.ndarray,
@@ -108,13 +109,16 @@ def move(
     layout: Layout,
     settings: AttitudeSettings,
 ) -> Moved:
-    """Over dt [s], `gap` of it with unknown rates, turned by `rotation` (3,) [rad] as the gyro has it."""
+    """Over dt [s], `gap` of it with unknown rates, turned by `rotation` (3,) [rad] as the gyro has it.
+
+    steady: (3, 3) the attitude at which the errors' model is taken.
+    """
     s = settings.sensor
     f, q, turn = np.eye(layout.size), np.zeros((layout.size, layout.size)), np.zeros(3)
     eye = np.eye(3)
     if layout.gyro:
         keep, gathered = _wandering(s.gyro_bias, s.gyro_instability, s.instability_s, dt)
-        f[:3, 3:6], f[3:6, 3:6] = -dt * nominal.rotation, keep * eye
+        f[:3, 3:6], f[3:6, 3:6] = -dt * steady, keep * eye
         q[:3, :3], q[3:6, 3:6] = s.gyro_noise**2 * dt * eye, gathered * eye
         turned = nominal.rotation @ rotation_of(rotation - (dt - gap) * nominal.gyro_bias)
         gyro_bias, swing = keep * nominal.gyro_bias, nominal.swing

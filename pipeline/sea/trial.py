@@ -218,7 +218,7 @@ def sea_trial(platform: Platform, motion: ShipMotion, rate_hz: float, settings: 
             f"{len(motion) / rate_hz:.4g} s of motion: the filter needs {START_S:g} s to begin with; allowed is more"
         )
     here = motion.specific_force(settings.lever_m)
-    seen = sensed(here, motion.angular_rate, rate_hz, ship, [settings.seed, 30])
+    seen = sensed(here, motion.angular_rate, rate_hz, ship, [settings.seed, 30]).samples
     estimate = filter_attitude(motion.t, seen, AttitudeSettings(sensor=ship), "the ship's sensor")
     rates = seen.gyro - estimate.gyro_bias
     control = _Control.of(settings, rate_hz)
@@ -328,6 +328,6 @@ def _watched(
     rate = (np.concatenate([turn[:1], turn]) + np.concatenate([turn, turn[-1:]])) / 2
     lifted = motion.acceleration_at(settings.lever_m)[at] + STANDING
     force = np.einsum("nji,nj->ni", rotation, lifted)
-    samples = sensed(force, rate, rate_hz, sensor, [settings.seed, 31])
+    samples = sensed(force, rate, rate_hz, sensor, [settings.seed, 31]).samples
     found = smooth_attitude(motion.t[at], samples, AttitudeSettings(sensor=sensor), "the deck's sensor")
     return Watched(name, found.roll_pitch_yaw[:, :2], zyx_angles(rotation)[:, :0:-1])

@@ -58,17 +58,17 @@ def test_sensors_err_as_their_preset_says():
     """White noise by differences of neighbours, the bias by many switch-ons, its wander by means over 100 s."""
     sensor = PRESETS["industrial"]
     still = np.zeros((20_000, 3))
-    read = sensed(still, still, RATE, sensor, [3])
+    read = sensed(still, still, RATE, sensor, [3]).samples
     for values, density in ((read.acceleration, sensor.acceleration_noise), (read.gyro, sensor.gyro_noise)):
         white = np.std(np.diff(values, axis=0)) / np.sqrt(2)
         assert white == pytest.approx(density * np.sqrt(RATE), rel=0.02)
-    biases = np.array([sensed(still[:100], still[:100], RATE, sensor, [k]).gyro.mean(axis=0) for k in range(400)])
+    biases = np.array([sensed(still[:100], still[:100], RATE, sensor, [k]).samples.gyro.mean(axis=0) for k in range(400)])
     within = np.hypot(sensor.gyro_bias, sensor.gyro_noise)  # of a second's mean
     assert np.std(biases) == pytest.approx(np.hypot(within, sensor.gyro_instability), rel=0.06)
 
 
 def test_the_same_seed_gives_the_same_samples_and_another_one_others():
     still = np.zeros((10, 3))
-    first, again, other = (sensed(still, still, RATE, PRESETS["mru"], [k]).gyro for k in (1, 1, 2))
+    first, again, other = (sensed(still, still, RATE, PRESETS["mru"], [k]).samples.gyro for k in (1, 1, 2))
     np.testing.assert_array_equal(first, again)
     assert np.abs(first - other).max() > 0
