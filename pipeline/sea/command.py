@@ -11,6 +11,7 @@ import numpy as np
 
 from pipeline.methods import build, uncalibrated
 from pipeline.pages import environment
+from pipeline.paper import AXES
 from pipeline.results import RAW
 from pipeline.runner import Run, version
 from pipeline.sea.configurations import Configurations, configurations
@@ -19,7 +20,7 @@ from pipeline.sea.settings import Seaway
 from pipeline.sea.ship_motion import ShipMotion
 from pipeline.sea.synthesis import generated, rao_of
 from pipeline.sea.trial import START_S, Platform, SeaTrial, Trial, sea_trial
-from pipeline.sea.trial_document import AXES, document, series
+from pipeline.sea.trial_document import document, series
 from pipeline.stages import error_model, used_poses
 from pipeline.tables import degrees
 from pipeline.virtual_robot import VirtualRobot

@@ -18,25 +18,6 @@ from pipeline.goal import Goal
 from pipeline.sea.trial import Platform, deck_error
 from pipeline.virtual_robot import STANDING
 
-# Xu, Tian & Zhang 2024, tables 3 and 4, in degrees: (x, y, z, volumetric) on the testing configurations
-PAPER: Mapping[str, Mapping[str, tuple[float, float, float, float]]] = {
-    "nominal": {
-        "mean": (0.245, 0.051, 0.043, 0.257),
-        "max": (0.495, 0.150, 0.151, 0.506),
-        "sd": (0.093, 0.038, 0.033, 0.090),
-    },
-    "network": {
-        "mean": (0.015, 0.025, 0.032, 0.051),
-        "max": (0.138, 0.125, 0.159, 0.245),
-        "sd": (0.025, 0.032, 0.037, 0.049),
-    },
-    "transfer": {
-        "mean": (0.009, 0.006, 0.008, 0.017),
-        "max": (0.055, 0.026, 0.056, 0.062),
-        "sd": (0.011, 0.006, 0.010, 0.014),
-    },
-}
-
 
 @dataclass(frozen=True)
 class Configurations:

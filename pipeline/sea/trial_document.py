@@ -7,14 +7,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pipeline.sea.configurations import PAPER, Configurations
+from pipeline.paper import AXES, HARDWARE
+from pipeline.sea.configurations import Configurations
 from pipeline.sea.trial import SeaTrial
 from pipeline.tables import Table, degrees
 
 if TYPE_CHECKING:
     import pandas as pd
 
-AXES = ("x", "y", "z", "volumetric")
 _PLACES = {"mean": "mean_deg", "max": "max_deg", "sd": "sd_deg"}
 
 
@@ -78,7 +78,7 @@ def document(
                     "method": name,
                     **indices(error[poses.test], trial.full),
                     "tilted": indices(poses.tilted[name][poses.test], trial.full),
-                    "paper": PAPER.get(name),
+                    "paper": HARDWARE.get(name),
                 }
                 for name, error in poses.errors.items()
             ],

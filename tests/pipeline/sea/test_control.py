@@ -62,7 +62,8 @@ def test_sensors_err_as_their_preset_says():
     for values, density in ((read.acceleration, sensor.acceleration_noise), (read.gyro, sensor.gyro_noise)):
         white = np.std(np.diff(values, axis=0)) / np.sqrt(2)
         assert white == pytest.approx(density * np.sqrt(RATE), rel=0.02)
-    biases = np.array([sensed(still[:100], still[:100], RATE, sensor, [k]).samples.gyro.mean(axis=0) for k in range(400)])
+    starts = [sensed(still[:100], still[:100], RATE, sensor, [k]).samples.gyro for k in range(400)]
+    biases = np.mean(starts, axis=1)
     within = np.hypot(sensor.gyro_bias, sensor.gyro_noise)  # of a second's mean
     assert np.std(biases) == pytest.approx(np.hypot(within, sensor.gyro_instability), rel=0.06)
 
