@@ -116,7 +116,9 @@ def _inverse(information: np.ndarray) -> np.ndarray:
     inverse, singular = dpotri(factor, lower=1)
     if failed or singular:
         raise FloatingPointError("the information of a linear fit is not positive definite")
-    return np.tril(inverse) + np.tril(inverse, -1).T
+    whole = inverse + inverse.T  # above the diagonal `dpotrf` has left zeros
+    whole.reshape(-1)[:: len(whole) + 1] /= 2
+    return whole
 
 
 @dataclass(frozen=True)
