@@ -119,6 +119,9 @@ class Clean:
         except Exception as error:  # whatever it is, it is a case that did not heal
             return Found(lost=True, said=f"{type(error).__name__}: {error}")
         wrong = [name for name in self.digests if found[name] != self.digests[name]]
+        page = self.values["report"].html.encode()
+        if any(file.read_bytes() != page for file in (store / "robots").glob("*/report.html")):
+            wrong.append("report.html")
         idle = ran - may_run if may_run is not None else set()
         return Found(bool(wrong), bool(idle), f"wrong {wrong}, made again {sorted(idle)}")
 
@@ -130,8 +133,7 @@ def finish(
     events: list[Any] = []
     run = Run(load_robot("ups3_s", settings), Store(store), force_from, events.append, _code=code or Code(memo=_memo()))
     values = run.until(*all_stages())
-    page = run.store.publish(run.robot_id, "report.html", values[-1].html.encode())
-    assert page.read_bytes() == values[-1].html.encode()
+    run.store.publish(run.robot_id, "report.html", values[-1].html.encode())
     handed = {name: content(artifacts.encode(value)) for name, value in zip(all_stages(), values, strict=True)}
     return handed, {event.stage for event in events if event.state == "ran"}
 

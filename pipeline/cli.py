@@ -64,7 +64,10 @@ def run(
         print_json(_document(session, compared))
         return
     show_comparison(compared)
-    out.print(Text(f"report: {short(page)}"))
+    if page.is_file():
+        out.print(Text(f"report: {short(page)}"))
+    else:
+        err.print(Text(f"warning: {page}: can't be written", style="yellow"), soft_wrap=True)
 
 
 @app.command

@@ -35,6 +35,11 @@ def versions(entries: Iterable[Entry] = (), libraries: Iterable[str] = ()) -> di
     return {"kincal": version("kincal"), "python": platform.python_version()} | dict(sorted(found.items()))
 
 
+def made_of(entries: Mapping[str, Entry], *stages: str) -> str:
+    """One line for a comment: the first digits of contents; `kincal verify --json` has the whole."""
+    return "made of " + ", ".join(f"{name} {entries[name].digest[:12]}" for name in stages)
+
+
 def published(html: str, entries: Mapping[str, Entry]) -> bytes:
     """The report page for people, with its provenance at the end; the command is that which made the report."""
     made = entries["report"].manifest["provenance"]["command"]
