@@ -86,8 +86,7 @@ def accept(
         print_json([{"stage": a.stage, "changed": list(a.changed), "key": a.key, "digest": a.digest} for a in found])
         return
     for a in found:
-        more = f" and {len(a.changed) - 1} more" if len(a.changed) > 1 else ""
-        out.print(Text(f"{a.stage:<10} accepted: code {a.changed[0]} changed{more}"), soft_wrap=True)
+        out.print(Text(f"{a.stage:<10} accepted: code {', '.join(a.changed)} changed"), soft_wrap=True)
     if not found:
         out.print("nothing to accept: no stage's code has changed")
 
