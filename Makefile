@@ -2,7 +2,7 @@
 PYTHON ?= python3
 BIN := .venv/bin
 
-.PHONY: run test install bench lint clean
+.PHONY: run test install bench damage lint clean
 run: .venv/installed
 	$(BIN)/kincal run ups3_s
 
@@ -13,6 +13,10 @@ install: .venv/installed
 
 bench: .venv/installed
 	$(BIN)/python -m benchmarks
+
+# What becomes of results when a store is damaged: docs/cache.md.
+damage: .venv/installed
+	$(BIN)/python -m benchmarks.damage
 
 lint: .venv/installed
 	$(BIN)/ruff check .

@@ -16,6 +16,7 @@ commands. Long ones, by name:
     static_poses      the filter of static poses beside the white-noise bound
     compensator       microseconds a command of the exported C, samples a second in Python; ten minutes
     predicted_regions    do the regions of predictions hold the truth; ten minutes
+    damage            accidents of the store, each tried and counted (make damage); ten minutes
     ship_motion       generated ship motion beside waveresponse's statistics, and the replay of a log; a minute
 """
 

@@ -7,6 +7,8 @@ else to one JSON document. Nothing is ever pickled.
 from __future__ import annotations
 
 import contextlib
+import errno
+import fcntl
 import hashlib
 import io
 import json
@@ -14,7 +16,7 @@ import math
 import os
 import shutil
 import uuid
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -28,13 +30,17 @@ from pipeline.results import Frame, Text
 from pipeline.writing import replace_file, write_flushed
 from urdf.errors import InputError
 
+UNFINISHED = "unfinished"  # of robots/ROBOT: a file a thing that the jobs of a study have made
+FREED = "freed.json"  # what the last `gc` freed
+
 
 class Damaged(Exception):
-    """A stored artifact is not what its manifest says."""
+    """A stored artifact is not what its manifest says. text: of that manifest, as it was read; None: there was none."""
 
-    def __init__(self, message: str, folder: Path) -> None:
+    def __init__(self, message: str, folder: Path, text: bytes | None) -> None:
         super().__init__(message)
         self.folder = folder
+        self.text = text
 
 
 @dataclass(frozen=True)
@@ -43,6 +49,7 @@ class Entry:
 
     folder: Path
     manifest: Mapping[str, Any]
+    text: bytes = field(repr=False)  # the manifest as it is stored
 
     @property
     def digest(self) -> str:
@@ -144,90 +151,147 @@ class Store:
     def find(self, stage: str, key: str) -> Entry | None:
         """The artifact of a key; None where there is none. Raises Damaged where its manifest is broken."""
         folder = self._folder(stage, key)
-        manifest = _sealed(folder)
-        if manifest is not None and manifest.get("key") == key:
-            return Entry(folder, manifest)
+        text = _content(folder / "manifest.json")
+        manifest = _sealed(text)
+        if text is not None and manifest is not None and manifest.get("key") == key:
+            return Entry(folder, manifest, text)
         if folder.exists():
-            raise Damaged(f"{folder / 'manifest.json'}: not what was stored", folder)
+            raise Damaged(f"{folder / 'manifest.json'}: not what was stored", folder, text)
         return None
 
     def load(self, entry: Entry, kind: type) -> Any:
         """The value, its digests checked. Raises Damaged."""
+        files = self.files(entry)
+        try:
+            return decode(files, kind)
+        except Exception as error:  # whole, but written by another version of the formats
+            what = f"not readable as {kind.__name__} ({type(error).__name__})"
+            raise Damaged(f"{entry.folder}: {what}", entry.folder, entry.text) from None
+
+    def files(self, entry: Entry) -> dict[str, bytes]:
+        """An artifact's payload, its digests checked. Raises Damaged."""
         files = {}
         for name, sealed in entry.manifest["files"].items():
             try:
                 files[name] = (entry.folder / name).read_bytes()
             except OSError as error:
-                raise Damaged(f"{entry.folder / name}: {error.strerror}", entry.folder) from None
+                raise Damaged(f"{entry.folder / name}: {error.strerror}", entry.folder, entry.text) from None
             if len(files[name]) != sealed["bytes"] or digest(files[name]) != sealed["sha256"]:
-                raise Damaged(f"{entry.folder / name}: its content is not what was stored", entry.folder)
-        try:
-            return decode(files, kind)
-        except Exception as error:  # whole, but written by another version of the formats
-            what = f"not readable as {kind.__name__} ({type(error).__name__})"
-            raise Damaged(f"{entry.folder}: {what}", entry.folder) from None
+                said = f"{entry.folder / name}: its content is not what was stored"
+                raise Damaged(said, entry.folder, entry.text)
+        return files
 
     def save(self, stage: str, key: str, value: Any, manifest: Mapping[str, Any], replace: bool = False) -> Entry:
-        """Write into a temporary folder, flush, seal, rename into place. Raises InputError where the disk refuses.
+        """A value under its key. Raises InputError where the disk refuses.
 
         replace: an artifact of that key that is there already gives way once the new one is whole.
         """
-        files = encode(value)
+        return self.put(stage, key, encode(value), manifest, replace)
+
+    def put(
+        self, stage: str, key: str, files: Mapping[str, bytes], manifest: Mapping[str, Any], replace: bool = False
+    ) -> Entry:
+        """`save` of a value that is encoded already: written aside, flushed, sealed, and renamed into place."""
         sealed = dict(manifest) | {
             "stage": stage,
             "key": key,
             "files": {name: {"bytes": len(c), "sha256": digest(c)} for name, c in sorted(files.items())},
         }
-        folder, temporary = self._folder(stage, key), self.root / "tmp" / uuid.uuid4().hex
-        with self._writing(temporary):
-            temporary.mkdir(parents=True)
+        text = json.dumps(sealed | {"seal": digest(sealed)}, indent=1, sort_keys=True).encode()
+        folder = self._folder(stage, key)
+        with self.writing(), self._aside() as aside:
+            temporary = aside / folder.name
+            temporary.mkdir()
             for name, content in files.items():
                 write_flushed(temporary / name, content)
-            text = json.dumps(sealed | {"seal": digest(sealed)}, indent=1, sort_keys=True)
-            write_flushed(temporary / "manifest.json", text.encode())
+            write_flushed(temporary / "manifest.json", text)
             _sync(temporary)
             folder.parent.mkdir(parents=True, exist_ok=True)
-            if replace and folder.exists():
-                old = temporary.with_suffix(".old")
-                folder.rename(old)
-                shutil.rmtree(old, ignore_errors=True)
+            if replace:
+                with contextlib.suppress(FileNotFoundError):
+                    folder.rename(aside / "old")
             try:
                 temporary.rename(folder)
             except OSError:
-                if not (folder / "manifest.json").exists():
+                # Another run was first. What it stored counts: its bytes are the same, but for the order of sums.
+                text = _content(folder / "manifest.json")
+                first = _sealed(text)
+                if text is None or first is None or first.get("key") != key:
+                    if (aside / "old").exists():
+                        (aside / "old").rename(folder)
                     raise
-                shutil.rmtree(temporary)  # another run was first, with the same bytes
+                return Entry(folder, first, text)
             _sync(folder.parent)
-        return Entry(folder, sealed)
+        return Entry(folder, sealed, text)
 
-    def set_aside(self, folder: Path) -> None:
-        """Move a damaged artifact out of the way; it is kept for a look."""
+    def set_aside(self, damage: Damaged) -> None:
+        """Move a damaged artifact out of the way, for a look; not what another run has put in its place meanwhile."""
+        folder = damage.folder
         aside = self.root / "damaged" / f"{folder.parent.name}-{folder.name[:12]}-{uuid.uuid4().hex[:8]}"
-        with self._writing(aside):
-            aside.parent.mkdir(parents=True, exist_ok=True)
-            folder.rename(aside)
+        if _content(folder / "manifest.json") == damage.text:
+            with self.writing(), contextlib.suppress(FileNotFoundError):  # freed, or set aside by another run
+                aside.parent.mkdir(parents=True, exist_ok=True)
+                folder.rename(aside)
+
+    def discard(self, path: Path) -> bool:
+        """Remove something at once, as others see it; whether it was there. Raises OSError."""
+        with self._aside() as aside:
+            try:
+                path.rename(aside / path.name)
+            except FileNotFoundError:
+                return False
+        return True
 
     def last(self, robot: str, stage: str) -> Mapping[str, Any] | None:
         """The manifest that a robot's stage used last; None where it never ran, empty where that is lost."""
         file = self.root / "robots" / robot / f"{stage}.json"
-        reference = _read_json(file)
+        reference = read_json(file)
         key = reference.get("key") if isinstance(reference, dict) else None
         if not isinstance(key, str):
             return {} if file.exists() else None
-        return _sealed(self._folder(stage, key)) or {}
+        return _sealed(_content(self._folder(stage, key) / "manifest.json")) or {}
 
     def remember(self, robot: str, stage: str, key: str) -> None:
+        """Note down what a robot's stage used last: `gc` keeps it."""
         self.publish(robot, f"{stage}.json", json.dumps({"key": key}).encode())
 
     def publish(self, robot: str, name: str, content: bytes) -> Path:
         """A copy for people, or a note of what was used, under a name that does not change."""
         file = self.root / "robots" / robot / name
-        self._note(file, content)
+        self.note(file, content)
         return file
+
+    def describe(self, robot: str, file: Path) -> None:
+        """Note down which robot.toml a robot's folder is of."""
+        self.publish(robot, "robot.json", json.dumps({"file": str(file)}).encode())
+
+    def begin(self, robot: str, stage: str, key: str) -> None:
+        """Note down what a job of a study makes: `gc` keeps it until the study is done, and `finish` says what of."""
+        with self.writing():
+            folder = self.root / "robots" / robot / UNFINISHED
+            folder.mkdir(parents=True, exist_ok=True)
+            (folder / f"{stage}-{key[:40]}").touch()
+
+    def finish(self, robot: str, study: str, made: Path, used: Collection[tuple[str, str]], command: str) -> None:
+        """Note down the artifacts (stage, key) of a study, for as long as the file that was made of them is there."""
+        note = {"made": str(made.absolute()), "command": command, "references": sorted(used)}
+        name = f"{study}-{digest(str(made.absolute()).encode())[:10]}.json"
+        self.publish(robot, name, json.dumps(note | {"seal": digest(note)}, indent=1).encode())
+        folder = self.root / "robots" / robot
+        with contextlib.suppress(OSError):
+            if (folder / name).exists():  # else the store takes no notes: those of the jobs stay
+                for stage, key in used:
+                    (folder / UNFINISHED / f"{stage}-{key[:40]}").unlink(missing_ok=True)
+                (folder / UNFINISHED).rmdir()
+
+    def freed(self, stage: str, key: str) -> bool:
+        """Whether the last `gc` freed the artifact of this key."""
+        found = read_json(self.root / FREED)
+        return isinstance(found, list) and f"{stage}/{key[:40]}" in found
 
     def read_memo(self) -> dict[str, Any]:
         """What was found out about source files, by their digests; empty where that file is damaged."""
-        sealed = _read_json(self.root / "code.json")
+        sealed = read_json(self.root / "code.json")
         if not isinstance(sealed, dict) or sealed.get("seal") != digest(sealed.get("memo")):
             return {}
         return sealed["memo"]
@@ -235,15 +299,13 @@ class Store:
     def write_memo(self, memo: Mapping[str, Any]) -> None:
         """Keep what was found out, where it is new."""
         if not set(memo) <= set(self.read_memo()):
-            self._note(self.root / "code.json", json.dumps({"memo": memo, "seal": digest(memo)}).encode())
+            self.note(self.root / "code.json", json.dumps({"memo": memo, "seal": digest(memo)}).encode())
 
-    def _note(self, file: Path, content: bytes) -> None:
+    def note(self, file: Path, content: bytes) -> None:
         """Write what saves work or eases a look; a store that takes no more is no reason to withhold a result."""
         if not (file.is_file() and file.read_bytes() == content):
-            with contextlib.suppress(OSError):
-                aside = self.root / "tmp"
-                for folder in (aside, file.parent):
-                    folder.mkdir(parents=True, exist_ok=True)
+            with contextlib.suppress(OSError), self._aside() as aside:
+                file.parent.mkdir(parents=True, exist_ok=True)
                 replace_file(file, content, aside)
 
     @contextmanager
@@ -252,7 +314,7 @@ class Store:
         from filelock import FileLock
 
         folder = self.root / "locks"
-        with self._writing(folder):
+        with self.writing():
             folder.mkdir(parents=True, exist_ok=True)
             lock = FileLock(folder / f"{stage}-{key[:32]}.lock")
             lock.acquire()
@@ -262,12 +324,28 @@ class Store:
             lock.release()
 
     @contextmanager
-    def _writing(self, what: Path) -> Iterator[None]:
+    def _aside(self) -> Iterator[Path]:
+        """A folder of its own in tmp/ to write in. While this process lives it is locked: no leftover for `gc`."""
+        while True:
+            folder = self.root / "tmp" / uuid.uuid4().hex
+            folder.mkdir(parents=True)
+            try:
+                locked = lock_folder(folder)
+            except FileNotFoundError:  # freed between these lines
+                continue
+            break
+        try:
+            yield folder
+        finally:
+            shutil.rmtree(folder, ignore_errors=True)
+            os.close(locked)
+
+    @contextmanager
+    def writing(self) -> Iterator[None]:
+        """An OSError becomes the InputError that the store can't be written."""
         try:
             yield
         except OSError as error:
-            if what.parent.name == "tmp":
-                shutil.rmtree(what, ignore_errors=True)
             raise InputError(
                 f"store {self.root}: can't be written: {error.strerror or error}; earlier results are untouched "
                 "(--store names another folder)"
@@ -277,17 +355,46 @@ class Store:
         return self.root / "artifacts" / stage / key[:40]
 
 
-def _sealed(folder: Path) -> dict[str, Any] | None:
-    """A folder's manifest, if it is whole."""
-    manifest = _read_json(folder / "manifest.json")
+def lock_folder(folder: Path, wait: bool = True) -> int:
+    """An open descriptor that holds the folder's lock. Raises FileNotFoundError; without waiting, any OSError.
+
+    A process that ends, however, gives it back. Where a file system has no locks a writer goes on without one.
+    """
+    descriptor = os.open(folder, os.O_RDONLY)
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB))
+        if not os.path.samestat(os.fstat(descriptor), folder.stat()):
+            raise FileNotFoundError(errno.ENOENT, os.strerror(errno.ENOENT), str(folder))
+    except OSError as error:
+        if wait and not isinstance(error, FileNotFoundError):
+            return descriptor
+        os.close(descriptor)
+        raise
+    return descriptor
+
+
+def _sealed(text: bytes | None) -> dict[str, Any] | None:
+    """A manifest, if it is whole."""
+    manifest = _parsed(text)
     whole = isinstance(manifest, dict) and manifest.pop("seal", None) == digest(manifest)
     return manifest if whole else None
 
 
-def _read_json(file: Path) -> Any:
+def read_json(file: Path) -> Any:
+    return _parsed(_content(file))
+
+
+def _parsed(text: bytes | None) -> Any:
     try:
-        return json.loads(file.read_bytes())
-    except (OSError, ValueError, RecursionError):
+        return None if text is None else json.loads(text)
+    except (ValueError, RecursionError):
+        return None
+
+
+def _content(file: Path) -> bytes | None:
+    try:
+        return file.read_bytes()
+    except OSError:
         return None
 
 

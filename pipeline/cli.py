@@ -6,15 +6,19 @@ import sys
 from collections.abc import Callable
 from dataclasses import asdict
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import App, CycloptsError, Parameter
 from rich.text import Text
 
-from pipeline import sea_commands, study_commands
+from pipeline import sea_commands, store_commands, study_commands
 from pipeline.console import err, out, print_json, print_table, short, show_comparison, show_inspection, show_table
 from pipeline.options import COMMON, Common, Flag, Json, JsonInstead, Robot, opened
 from urdf.errors import CalibrationError, InputError
+
+if TYPE_CHECKING:
+    from pipeline.results import Comparison
+    from pipeline.runner import Run
 
 app = App(
     name="kincal",
@@ -24,6 +28,8 @@ app = App(
     suppress_keyboard_interrupt=False,  # main says so
 )
 for _command in (study_commands.export, study_commands.plan, study_commands.sweep, study_commands.reproduce):
+    app.command(_command)
+for _command in (store_commands.gc, store_commands.accept, store_commands.verify):
     app.command(_command)
 app.command(sea_commands.sea_trial)
 
@@ -46,17 +52,22 @@ def run(
     force_from
         Run this stage and all after it, cached or not.
     """
+    from pipeline.provenance import published
+
     session = opened(robot, common, force_from)
     if until != "report":
         session.until(until)
         return
     compared, report = session.until("evaluate", "report")
-    page = session.store.publish(session.robot_id, report.html.file, report.html.encode())
+    page = session.store.publish(session.robot_id, report.html.file, published(report.html, session.entries))
     if json:
-        print_json(asdict(compared))
+        print_json(_document(session, compared))
         return
     show_comparison(compared)
-    out.print(Text(f"report: {short(page)}"))
+    if page.is_file():
+        out.print(Text(f"report: {short(page)}"))
+    else:
+        err.print(Text(f"warning: {page}: can't be written", style="yellow"), soft_wrap=True)
 
 
 @app.command
@@ -75,13 +86,20 @@ def compare(
     others
         More robots.
     """
-    compared = [opened(name, common).until("evaluate")[0] for name in (robot, *others)]
+    sessions = [opened(name, common) for name in (robot, *others)]
+    compared = [session.until("evaluate")[0] for session in sessions]
     if json:
-        documents = [asdict(c) for c in compared]
+        documents = [_document(*pair) for pair in zip(sessions, compared, strict=True)]
         print_json(documents if others else documents[0])
     else:
         for c in compared:
             show_comparison(c)
+
+
+def _document(session: Run, compared: Comparison) -> dict[str, Any]:
+    from pipeline.provenance import provenance
+
+    return asdict(compared) | {"provenance": provenance(session.entries, ["evaluate"], session.command)}
 
 
 @app.command
@@ -118,7 +136,11 @@ def inspect(
 
         draw(found, plot, before)
     if json:
-        print_json(foreseen_json(name, found, more) if before else parameters_json(name, found))
+        from pipeline.provenance import provenance
+
+        document = foreseen_json(name, found, more) if before else parameters_json(name, found)
+        stages = ["plan" if before else "identify"]
+        print_json(document | {"provenance": provenance(session.entries, stages, session.command)})
         return
     show_inspection(name, found, foresight)
     if plot is not None:
@@ -199,9 +221,16 @@ def evaluate(
     """
     from pipeline.queries import evaluated
 
-    compared = evaluated(opened(robot, common), data, columns, register=register, rehome=rehome)
+    session = opened(robot, common)
+    compared = evaluated(session, data, columns, register=register, rehome=rehome)
     if json:
-        print_json(asdict(compared))
+        from pipeline.provenance import provenance
+        from pipeline.runner import file_digest
+
+        found = provenance(session.entries, ["identify", "transfer", "correct"], session.command)
+        files = {"data": data} | ({"columns": columns} if columns else {})
+        found["files"] |= {name: file_digest(file) for name, file in files.items()}
+        print_json(asdict(compared) | {"provenance": found})
     else:
         show_comparison(compared)
 

@@ -11,7 +11,7 @@ import json
 import os
 import platform
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +24,7 @@ from pipeline.calibration_json import SCHEMA, calibration_document, parameters, 
 from pipeline.export_target import MADE_HERE, beside, check_folder_free, check_parent
 from pipeline.exported_toml import exported_toml
 from pipeline.exported_urdf import CalibratedUrdf, calibrated_urdf, require_urdf
+from pipeline.provenance import made_of, provenance
 from pipeline.results import Model
 from pipeline.runner import Run, version
 from pipeline.writing import refusing, replace_file
@@ -54,6 +55,8 @@ class Calibrated:
     readings: np.ndarray  # (n, n_actuated) the measured ones, then random ones of the workspace
     tool: Motion  # (n) the tool's poses in the base frame there
     predicted: Motion  # (n) W * tool * T
+    provenance: Mapping[str, Any] = field(default_factory=dict)
+    made_of: str = ""  # the same in a line
 
     @property
     def description(self) -> RobotDescription:
@@ -102,6 +105,7 @@ def export_document(session: Run, output: Path | None = None, force: bool = Fals
     document = calibration_document(
         calibrated.description, calibrated.robot, calibrated.found, calibrated.measured, _versions()
     )
+    document |= {"provenance": dict(calibrated.provenance)}
     text = json.dumps(document, indent=2, allow_nan=False) + "\n"
     robot = read_calibration(json.loads(text))
     closure = robot.close(calibrated.readings)
@@ -120,7 +124,13 @@ def identified_robot(session: Run) -> Calibrated:
     errors = ErrorModel.of(model.chain(), description.actuator, description.tolerance)
     readings = filtered.table[list(errors.chain.actuated_names)].to_numpy(float)
     robot = errors.robot(identified.shipped.change)
-    return calibrated_robot(session.robot, model, identified.shipped, measured.source, errors, robot, readings)
+    calibrated = calibrated_robot(session.robot, model, identified.shipped, measured.source, errors, robot, readings)
+    command = session.entries["identify"].manifest["provenance"]["command"]  # so that exporting again changes no byte
+    return replace(
+        calibrated,
+        provenance=provenance(session.entries, ["identify"], command),
+        made_of=made_of(session.entries, "measure", "identify"),
+    )
 
 
 def calibrated_robot(
@@ -156,7 +166,7 @@ def write_folder(calibrated: Calibrated, folder: Path, final: Path) -> Exported:
     said = (
         f"{MADE_HERE}{description.name}, identified from {found.n_poses} poses ({calibrated.measured}: "
         f"{', '.join(found.channels)}), chi-square {found.chi_square:.5g} over {found.degrees_of_freedom:.1f} degrees "
-        f"of freedom, kincal {version('kincal')}"
+        f"of freedom, kincal {version('kincal')}{calibrated.made_of and ', '}{calibrated.made_of}"
     )
     urdf = calibrated_urdf(calibrated.model.urdf, calibrated.robot, calibrated.model.mechanism, [said])
     (folder / "robot.urdf").write_bytes(urdf.text.encode())

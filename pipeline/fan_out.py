@@ -70,14 +70,15 @@ class Task:
 
 
 class _JobStore(Store):
-    """A store that does not note down what a job used as what the robot used last."""
+    """A store that does not note down what a job used as what the robot used last, only that it is being used."""
 
     def remember(self, robot: str, stage: str, key: str) -> None:
         pass
 
-    def save(self, *args: Any, **options: Any) -> Entry:
+    def save(self, stage: str, key: str, value: Any, manifest: Mapping[str, Any], replace: bool = False) -> Entry:
         with undisturbed():
-            return super().save(*args, **options)
+            self.begin(manifest["provenance"]["robot"], stage, key)
+            return super().save(stage, key, value, manifest, replace)
 
 
 @lru_cache(maxsize=1)

@@ -30,6 +30,7 @@ class Code:
     memo: dict[str, Facts] = field(default_factory=dict)
     used: dict[str, Facts] = field(default_factory=dict)
     _facts: dict[tuple[str, bool], Facts] = field(default_factory=dict)
+    _templates: dict[Path, list[Path]] = field(default_factory=dict)  # {folder of a package: all of its templates}
 
     def fingerprint(self, module: str, function: str) -> dict[str, str]:
         """{unit of code: digest} of a stage function, by name, in a project module."""
@@ -48,7 +49,7 @@ class Code:
             file = _file(module, self.root)
             source = file.read_bytes() if file else b""
             # Page templates that a module loads by its own name are part of it.
-            templates = sorted((file.parent / "templates").glob(f"{file.stem}.*")) if file else []
+            templates = self._templates_of(file) if file else []
             extra = b"\0".join(t.read_bytes() for t in templates)
             version = f"{module} {whole} {sys.version_info[:2]} ".encode()
             key = hashlib.sha256(version + source + b"\0" + extra).hexdigest()
@@ -56,6 +57,11 @@ class Code:
                 self.memo[key] = _whole(source, extra, self.root) if whole else _by_name(source, self.root)
             self._facts[module, whole] = self.used[key] = self.memo[key]
         return self._facts[module, whole]
+
+    def _templates_of(self, file: Path) -> list[Path]:
+        if file.parent not in self._templates:
+            self._templates[file.parent] = sorted((file.parent / "templates").glob("*"))
+        return [t for t in self._templates[file.parent] if t.name.startswith(f"{file.stem}.")]
 
 
 def _whole(source: bytes, extra: bytes, root: Path) -> Facts:

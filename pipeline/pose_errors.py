@@ -24,9 +24,11 @@ class PoseErrors:
     fresh: np.ndarray  # (methods, m, 3) by the fit of all poses, on fresh ones without noise
 
 
-def errors_of(job: Job) -> PoseErrors:
-    """Of a job whose stages are in the store; made there where they are not."""
-    return run_of(job).beyond(stage_of(pose_errors, ("numpy", "scipy")))
+def errors_of(job: Job) -> tuple[PoseErrors, tuple[str, str]]:
+    """Of a job whose stages are in the store, made there where they are not; and (stage, key) of their artifact."""
+    run, stage = run_of(job), stage_of(pose_errors, ("numpy", "scipy"))
+    found = run.beyond(stage)
+    return found, (stage.name, run.entries[stage.name].manifest["key"])
 
 
 def pose_errors(

@@ -75,6 +75,7 @@ class Reproduced:
     robot: RobotDescription
     rows: tuple[Row, ...]  # one a job and method: its place, and its errors [deg]
     pose_errors: tuple[PoseErrors, ...]  # one a seed, of the tables' jobs
+    made_beyond: tuple[tuple[str, str], ...] = ()  # (stage, key) of their artifacts
 
     @property
     def table(self) -> pd.DataFrame:
@@ -167,7 +168,7 @@ def reproduce(
     for point, outcome in sorted(zip(jobs.values(), outcomes, strict=True), key=lambda pair: _place(pair[0])):
         assert isinstance(outcome, Outcome)
         rows += _rows(point, outcome)
-    return Reproduced(study, robot, tuple(rows), errors)
+    return Reproduced(study, robot, tuple(rows), *zip(*errors, strict=True))
 
 
 def _place(point: Point) -> tuple[int, ...]:

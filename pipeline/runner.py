@@ -21,6 +21,7 @@ from pipeline.fingerprint import Code
 from urdf.description import PATHS, Robot
 from urdf.errors import CalibrationError, InputError
 
+_ATTEMPTS = 4  # to read a result that others damage or free meanwhile
 _LONGEST = 100  # letters of a changed value that are shown
 
 
@@ -55,7 +56,10 @@ def all_stages() -> dict[str, Stage]:
 
 @lru_cache
 def version(library: str) -> str:
-    return metadata.version(library)
+    """Of an installed library. Its metadata are long: parsing them all takes longer than the rest of a cached run."""
+    text = metadata.distribution(library).read_text("METADATA") or ""
+    found = next((line for line in text.splitlines() if line.startswith("Version:")), None)
+    return found.partition(":")[2].strip() if found else metadata.version(library)
 
 
 def needed(until: str) -> list[Stage]:
@@ -100,15 +104,19 @@ class Run:
     def until(self, *names: str) -> list[Any]:
         """Bring the stages `names` up to date and return their results, read back from the store."""
         self._bring_all(names)
-        self.store.write_memo(self.code.used)
+        self._note()
         return [self._value(all_stages()[name]) for name in names]
 
     def beyond(self, stage: Stage) -> Any:
         """The result of a stage that is none of the pipeline's own, brought up to date like these."""
         self._bring_all(stage.inputs.values())
         self._bring(stage, forced=False)
-        self.store.write_memo(self.code.used)
+        self._note()
         return self._value(stage)
+
+    def _note(self) -> None:
+        self.store.write_memo(self.code.used)
+        self.store.describe(self.robot_id, self.robot.file.resolve())
 
     @property
     def code(self) -> Code:
@@ -145,7 +153,7 @@ class Run:
 
     def _set_aside(self, stage: Stage, damage: Damaged) -> None:
         self.observe(Event(stage.name, "damaged", str(damage)))
-        self.store.set_aside(damage.folder)
+        self.store.set_aside(damage)
 
     def _produce(self, stage: Stage, parts: Mapping[str, Any], key: str, why: str, forced: bool = False) -> None:
         self.observe(Event(stage.name, "running", why))
@@ -176,14 +184,18 @@ class Run:
         self.observe(Event(stage.name, "ran", why, time.perf_counter() - began))
 
     def _value(self, stage: Stage) -> Any:
-        """A stage's result from the store; a damaged one is set aside and made again."""
-        try:
-            return self.store.load(self.entries[stage.name], stage.result)
-        except Damaged as damage:
-            self._set_aside(stage, damage)
+        """A stage's result from the store; one that is damaged is set aside, and one that is gone is made again."""
+        for _ in range(_ATTEMPTS):
+            entry = self.entries[stage.name]
+            try:
+                return self.store.load(entry, stage.result)
+            except Damaged as damage:
+                gone = not entry.folder.exists()  # freed by `gc` between finding and reading
+                if not gone:
+                    self._set_aside(stage, damage)
             parts = self.key_parts(stage)
-            self._produce(stage, parts, digest(parts), "its artifact was damaged")
-            return self.store.load(self.entries[stage.name], stage.result)
+            self._produce(stage, parts, digest(parts), f"its artifact {'is gone' if gone else 'was damaged'}")
+        raise InputError(f"store {self.store.root}: {stage.name}: what is written there does not stay as it is written")
 
     def key_parts(self, stage: Stage) -> dict[str, Any]:
         """All that a stage's result depends on; its digest is the key. Where a file lies is no part of it."""
@@ -192,7 +204,7 @@ class Run:
         for *tables, key in PATHS:
             table = settings.get(tables[0], {}) if tables else settings
             if table.get(key) is not None:
-                files[".".join((*tables, key))] = _file_digest(Path(table[key]))
+                files[".".join((*tables, key))] = file_digest(Path(table[key]))
                 table[key] = "(file)"
         return {
             "stage": stage.name,
@@ -222,7 +234,10 @@ class Run:
                 yield stage.name, "stale", "its artifact is gone or damaged"
                 continue
             if entry is None:
-                yield stage.name, "missing" if last is None else "stale", explain(last, parts)
+                why = explain(last, parts)
+                if self.store.freed(stage.name, digest(parts)):
+                    why += "; an earlier result of these was freed by `kincal gc`"
+                yield stage.name, "missing" if last is None else "stale", why
             else:
                 self.entries[stage.name] = entry
                 yield stage.name, "fresh", ""
@@ -234,7 +249,11 @@ def explain(last: Mapping[str, Any] | None, parts: Mapping[str, Any]) -> str:
         return "never ran for this robot"
     if not last:
         return "its artifact is gone or damaged"
-    before = last.get("parts", {})
+    return change(last.get("parts", {}), parts) or "its artifact is gone or damaged"
+
+
+def change(before: Mapping[str, Any], parts: Mapping[str, Any]) -> str | None:
+    """The first difference of what two keys were made of; None: there is none."""
     for group, said in (
         ("settings", "setting"),
         ("files", "file"),
@@ -249,7 +268,7 @@ def explain(last: Mapping[str, Any] | None, parts: Mapping[str, Any]) -> str:
             shown = group in ("settings", "libraries")
             detail = _change(changed[0], old.get(changed[0]), new.get(changed[0])) if shown else "changed"
             return f"{said} {changed[0]} {detail}{more}"
-    return "its artifact is gone or damaged"
+    return None
 
 
 def _change(key: str, old: Any, new: Any) -> str:
@@ -270,11 +289,11 @@ def _flat(value: Any, prefix: str = "") -> dict[str, Any]:
     }
 
 
-def _file_digest(file: Path) -> str:
+def file_digest(file: Path) -> str:
     """Of a file's content, read piece by piece; of a folder (a ROS 2 bag), of its files' names and contents."""
     try:
         if file.is_dir():
-            return digest({part.name: _file_digest(part) for part in sorted(file.iterdir()) if part.is_file()})
+            return digest({part.name: file_digest(part) for part in sorted(file.iterdir()) if part.is_file()})
         with open(file, "rb") as stream:
             return hashlib.file_digest(stream, "sha256").hexdigest()
     except OSError as error:

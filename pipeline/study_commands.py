@@ -150,6 +150,7 @@ def sweep(
         The folder of sweep.parquet and sweep.svg (default: the robot's folder in the store).
     """
     from pipeline.executor import worker_count
+    from pipeline.studies import Used
     from pipeline.sweep import median_tables, output_folder, plan_sweep, sweep_json, write
     from pipeline.sweep import sweep as swept_on
     from pipeline.sweep_progress import SweepProgress
@@ -161,10 +162,14 @@ def sweep(
     valid = [p for p in points if not isinstance(p.robot, InputError)]
     labels = {p.job: " ".join(f"{key}={value}" for key, value in p.values.items()) for p in valid}
     with SweepProgress(session.robot.description.name, labels) as progress:
-        found = swept_on(overs, points, n_workers, progress)
+        used = Used(progress)
+        found = swept_on(overs, points, n_workers, used)
+    found.table.attrs["provenance"] = used.provenance()
     table, figure = write(found, folder)
+    used.finish(session, "sweep", table)
     if json:
-        print_json(sweep_json(found, table, figure))
+        said = {"command": session.command} | used.provenance()
+        print_json(sweep_json(found, table, figure) | {"provenance": said})
     else:
         for title, medians in median_tables(found):
             out.print(Text(f"{found.robot}: {title}", style="bold"))
@@ -195,9 +200,10 @@ def reproduce(
         The folder of index.html, the figures, the tables and results.json.
     """
     from pipeline.executor import worker_count
+    from pipeline.reproduce import ROBOT, study_of
     from pipeline.reproduce import plan as planned
     from pipeline.reproduce import reproduce as reproduced
-    from pipeline.reproduce import study_of
+    from pipeline.studies import Used
     from pipeline.sweep import output_folder
     from pipeline.sweep_progress import SweepProgress
 
@@ -205,11 +211,14 @@ def reproduce(
     robot, jobs = planned(study, common.overrides, common.store, command_line())
     folder = output_folder(output, output)
     with SweepProgress(robot.name, {job: str(point) for job, point in jobs.items()}) as progress:
-        found = reproduced(study, robot, jobs, n_workers, progress)
+        used = Used(progress)
+        found = reproduced(study, robot, jobs, n_workers, used)
     from pipeline.reproduction_page import findings, summary, write
 
     made = findings(found)
+    made.document["provenance"] = used.provenance()
     page = write(found, made, folder)
+    used.finish(opened(ROBOT, common), "reproduce", page, found.made_beyond)
     if json:
         print_json(made.document)
         return

@@ -46,7 +46,18 @@ SMALL = (
     "evaluate.closed_loop=false",  # test_six_methods closes it
 )
 QUICK = ("plan.poses=12", *SMALL)
-ROBOT_COMMANDS = ("run", "inspect", "compare", "status", "predict", "evaluate", "compensate", "sea-trial")
+ROBOT_COMMANDS = (
+    "run",
+    "inspect",
+    "compare",
+    "status",
+    "predict",
+    "evaluate",
+    "compensate",
+    "sea-trial",
+    "accept",
+    "verify",
+)
 
 
 def _complete(arguments) -> list[str]:
