@@ -18,6 +18,7 @@ from pydantic_core import to_jsonable_python
 from pipeline import stages
 from pipeline.artifacts import Damaged, Entry, Store, digest
 from pipeline.fingerprint import Code
+from pipeline.results import Report
 from urdf.description import PATHS, Robot
 from urdf.errors import CalibrationError, InputError
 
@@ -94,8 +95,9 @@ class Run:
 
     @property
     def robot_id(self) -> str:
-        """Two robots of one name in different folders don't mix."""
-        return f"{self.robot.description.name}-{digest(str(self.robot.file.resolve()).encode())[:10]}"
+        """Two robots of one name in different folders don't mix, nor do units of fleet files."""
+        where = self.robot.fleet or self.robot.file
+        return f"{self.robot.description.name}-{digest(str(where.resolve()).encode())[:10]}"
 
     def until(self, *names: str) -> list[Any]:
         """Bring the stages `names` up to date and return their results, read back from the store."""
@@ -109,6 +111,10 @@ class Run:
         self._bring(stage, forced=False)
         self.store.write_memo(self.code.used)
         return self._value(stage)
+
+    def publish(self, report: Report) -> Path:
+        """The report where people look for it."""
+        return self.store.publish(self.robot_id, report.html.file, report.html.encode())
 
     @property
     def code(self) -> Code:
