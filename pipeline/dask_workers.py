@@ -22,7 +22,7 @@ from distributed.scheduler import KilledWorker
 from threadpoolctl import threadpool_limits
 
 from pipeline.artifacts import digest
-from pipeline.executor import STILL_WANTED, JobExecutor, WorkerDied, WorkersLost, threads_per_worker
+from pipeline.executor import STILL_WANTED, JobExecutor, WorkerDied, WorkersLost, bound_threads, threads_per_worker
 from pipeline.fan_out import own_code
 from pipeline.runner import all_stages, version
 from pipeline.writing import refusing
@@ -115,7 +115,7 @@ class DaskWorkers(JobExecutor):
             token.parent.mkdir(parents=True, exist_ok=True)
             token.touch()
         try:
-            answers = self._client.run(_answer, store, token, list(files), on_error="return")
+            answers: Any = self._client.run(_answer, store, token, list(files), on_error="return")
         finally:
             token.unlink(missing_ok=True)
         for worker, answer in answers.items():
@@ -172,6 +172,7 @@ def _carry_out(
         task = worker.state.tasks.get(key)
         return task is not None and task.state == "executing"
 
+    bound_threads(n_threads)
     with _ONE, threadpool_limits(n_threads):
         if "torch" in sys.modules:
             sys.modules["torch"].set_num_threads(n_threads)

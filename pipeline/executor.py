@@ -95,7 +95,9 @@ def executor(on: Place, store: Path, files: Iterable[Path] = ()) -> Iterator[Job
 class InProcess(JobExecutor):
     """Runs a job as it is submitted."""
 
-    at_once = 1
+    @property
+    def at_once(self) -> int:
+        return 1
 
     def submit(self, fn: Callable[_P, _T], /, *args: _P.args, **kwargs: _P.kwargs) -> Future[_T]:
         future: Future[_T] = Future()
@@ -195,9 +197,14 @@ def _block_interrupts() -> None:
 
 def _begin(n_threads: int) -> None:
     """Before numpy or torch are imported, which read their number of threads once."""
-    for name in _THREADS:
-        os.environ[name] = str(n_threads)
+    bound_threads(n_threads)
     threading.Thread(target=_outlive_nobody, daemon=True).start()
+
+
+def bound_threads(n: int) -> None:
+    """Of libraries that are loaded later."""
+    for name in _THREADS:
+        os.environ[name] = str(n)
 
 
 def _outlive_nobody() -> None:

@@ -122,7 +122,7 @@ def _remark(row: Mapping[str, Any]) -> str:
         return "failed: " + " ".join(row["error"].split())
     n = 0 if row["warnings"] is None else row["warnings"].count("; ") + 1
     said = [f"{n} warning{'s' * (n > 1)}"] if n else []
-    if row["out_of_family"]:
+    if row["out_of_family"] is True:
         worst = f": {row['parameter']} is {row['deviation']:+.1f} sigmas off" if row["parameter"] else ""
         said.insert(0, f"OUT OF FAMILY{worst}")
     return ", ".join(said)
@@ -139,10 +139,10 @@ def family_lines(table: pd.DataFrame) -> list[str]:
     """What the columns mean, where a family was judged."""
     from identification.family import FALSE_ALARM, FEWEST
 
-    judged = table[table["probability"].notna()].drop_duplicates("reference")
-    if judged.empty:
+    judged = [robot[0]["out_of_family"] for robot in _by_robot(table) if robot[0]["out_of_family"] is not None]
+    if not judged:
         return []
-    n = int(judged["out_of_family"].sum())
+    n = sum(judged)
     return [
         f"{n} of {len(judged)} units out of family (designs of {FEWEST} units or more are judged; where all are alike, "
         f"one is named in about {100 * FALSE_ALARM:g} % of such fleets: docs/fleet.md)"

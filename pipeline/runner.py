@@ -8,7 +8,7 @@ import sys
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from importlib import metadata
 from pathlib import Path
 from typing import Any
@@ -93,7 +93,7 @@ class Run:
     entries: dict[str, Entry] = field(default_factory=dict)  # {stage: its artifact}, of those that are up to date
     _code: Code | None = None
 
-    @property
+    @cached_property
     def robot_id(self) -> str:
         """Two robots of one name in different folders don't mix, nor do units of fleet files."""
         where = self.robot.fleet or self.robot.file

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import copy
 import difflib
 import json
 import math
 import tomllib
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar, get_args
 
@@ -517,6 +519,12 @@ def toml_text(file: Path) -> str:
 
 def parse_toml(text: str, where: str) -> dict[str, Any]:
     """Raises InputError."""
+    return copy.deepcopy(_parsed(text, where))
+
+
+@lru_cache(maxsize=8)
+def _parsed(text: str, where: str) -> dict[str, Any]:
+    """The units of a fleet have one drawing."""
     try:
         return tomllib.loads(text)
     except ValueError as error:  # also an integer of thousands of digits
