@@ -101,7 +101,7 @@ def _described(unit: Identification, membership: Membership) -> dict[str, Any]:
 
 def shown_table(table: pd.DataFrame) -> Table:
     """One row a robot, for people."""
-    units = [unit for unit in UNITS if table[unit].notna().any()]
+    units = [unit for unit in UNITS if any(table[unit].notna())]
     rows = []
     for robot in _by_robot(table):
         scores = {row["method"]: row for row in robot}

@@ -519,18 +519,18 @@ def toml_text(file: Path) -> str:
 
 def parse_toml(text: str, where: str) -> dict[str, Any]:
     """Raises InputError."""
-    return copy.deepcopy(_parsed(text, where))
-
-
-@lru_cache(maxsize=8)
-def _parsed(text: str, where: str) -> dict[str, Any]:
-    """The units of a fleet have one drawing."""
     try:
-        return tomllib.loads(text)
+        return copy.deepcopy(_parsed(text))
     except ValueError as error:  # also an integer of thousands of digits
         raise InputError(f"{where}: not valid TOML: {error}") from None
     except RecursionError:
         raise InputError(f"{where}: nested too deeply") from None
+
+
+@lru_cache(maxsize=8)
+def _parsed(text: str) -> dict[str, Any]:
+    """The units of a fleet share their drawing."""
+    return tomllib.loads(text)
 
 
 def _resolve_paths(content: dict[str, Any], folder: Path) -> None:
