@@ -30,6 +30,15 @@ def scheduler():
         logging.getLogger(name).setLevel(level)
 
 
+def test_threads_are_bounded_where_numpy_was_there_first(scheduler, tmp_path):
+    """First of all: a worker that was started anew has this process's own, bounded environment."""
+    threads = "[x['num_threads'] for x in __import__('threadpoolctl').threadpool_info()]"
+    with executor(Place(0, scheduler), tmp_path) as workers:
+        assert 2 in workers._client.submit(eval, f"__import__('numpy') and {threads}").result()
+        assert set(workers.submit(eval, threads).result()) == {1}
+        assert workers.submit(eval, "__import__('os').environ['OMP_NUM_THREADS']").result() == "1"
+
+
 def digests(on: Place, store: Path) -> list[list[str]]:
     quiet = ('measure.channels=["orientation"]',)
     jobs = [Job("ups3_s", (*quiet, f"plan.poses={n}"), store, "measure") for n in (12, 14)]
@@ -85,14 +94,6 @@ def test_interrupted_jobs_end_after_their_stage(scheduler, tmp_path):
     with executor(Place(0, scheduler), tmp_path) as workers:
         assert workers.submit(eval, "6 * 7").result() == 42
     assert not (tmp_path / "never").exists()
-
-
-def test_threads_are_bounded_where_numpy_was_there_first(scheduler, tmp_path):
-    threads = "[x['num_threads'] for x in __import__('threadpoolctl').threadpool_info()]"
-    with executor(Place(0, scheduler), tmp_path) as workers:
-        assert 2 in workers._client.submit(eval, f"__import__('numpy') and {threads}").result()
-        assert set(workers.submit(eval, threads).result()) == {1}
-        assert workers.submit(eval, "__import__('os').environ['OMP_NUM_THREADS']").result() == "1"
 
 
 def test_the_command(scheduler, cli):
