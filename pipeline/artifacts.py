@@ -18,7 +18,9 @@ import shutil
 import uuid
 from collections.abc import Collection, Iterator, Mapping
 from contextlib import contextmanager
+from contextvars import ContextVar
 from dataclasses import dataclass, field
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -68,47 +70,50 @@ def digest(value: Any) -> str:
 
 @dataclass
 class _Codec:
-    """One value's way to files and back: a converter whose hooks fill, or read, the files beside value.json."""
+    """The files beside value.json: filled, or read, on one value's way."""
 
     arrays: dict[str, Any] = field(default_factory=dict)
     files: dict[str, bytes] = field(default_factory=dict)
 
-    def converter(self) -> Converter:
-        converter = Converter(forbid_extra_keys=True)
-        converter.register_unstructure_hook_func(_is(BaseModel), lambda v: v.model_dump(mode="json", by_alias=True))
-        converter.register_structure_hook_func(_is(BaseModel), lambda v, kind: kind.model_validate(v))
-        converter.register_unstructure_hook_func(_is(Text), self._text_out)
-        converter.register_structure_hook_func(_is(Text), lambda v, kind: kind(self._file(v).decode()))
-        converter.register_unstructure_hook(float, _float_out)
-        converter.register_structure_hook(float, lambda v, _: float(v))
-        converter.register_unstructure_hook(np.ndarray, self._array_out)
-        converter.register_structure_hook(np.ndarray, lambda v, _: self.arrays[v])
-        converter.register_unstructure_hook(Frame, self._table_out)
-        converter.register_structure_hook(Frame, self._table_in)
-        return converter
-
-    def _array_out(self, array: Any) -> str:
+    def array_out(self, array: Any) -> str:
         name = f"array{len(self.arrays)}"
         self.arrays[name] = array
         return name
 
-    def _text_out(self, text: Any) -> str:
+    def text_out(self, text: Any) -> str:
         return self._keep(text.file, str(text).encode())
 
-    def _table_out(self, table: Any) -> str:
+    def table_out(self, table: Any) -> str:
         return self._keep(f"table{len(self.files)}.parquet", table.to_parquet(index=False))
 
-    def _table_in(self, name: str, _: type) -> Any:
+    def table_in(self, name: str) -> Any:
         import pandas as pd
 
-        return pd.read_parquet(io.BytesIO(self._file(name)))
+        return pd.read_parquet(io.BytesIO(self.files[name]))
 
     def _keep(self, name: str, content: bytes) -> str:
         self.files[name] = content
         return name
 
-    def _file(self, name: str) -> bytes:
-        return self.files[name]
+
+_CODEC: ContextVar[_Codec] = ContextVar("codec")
+
+
+@lru_cache(maxsize=1)
+def _converter() -> Converter:
+    """What it learns about a type takes far longer than a value: one for all."""
+    converter, codec = Converter(forbid_extra_keys=True), _CODEC.get
+    converter.register_unstructure_hook_func(_is(BaseModel), lambda v: v.model_dump(mode="json", by_alias=True))
+    converter.register_structure_hook_func(_is(BaseModel), lambda v, kind: kind.model_validate(v))
+    converter.register_unstructure_hook_func(_is(Text), lambda v: codec().text_out(v))
+    converter.register_structure_hook_func(_is(Text), lambda v, kind: kind(codec().files[v].decode()))
+    converter.register_unstructure_hook(float, _float_out)
+    converter.register_structure_hook(float, lambda v, _: float(v))
+    converter.register_unstructure_hook(np.ndarray, lambda v: codec().array_out(v))
+    converter.register_structure_hook(np.ndarray, lambda v, _: codec().arrays[v])
+    converter.register_unstructure_hook(Frame, lambda v: codec().table_out(v))
+    converter.register_structure_hook(Frame, lambda v, _: codec().table_in(v))
+    return converter
 
 
 def _is(base: type):
@@ -122,7 +127,8 @@ def _float_out(value: float) -> float | str:
 def encode(value: Any) -> dict[str, bytes]:
     """A value as files."""
     codec = _Codec()
-    tree = codec.converter().unstructure(value)
+    _CODEC.set(codec)
+    tree = _converter().unstructure(value)
     files = dict(codec.files)
     if codec.arrays:
         from safetensors.numpy import save
@@ -139,7 +145,8 @@ def decode(files: Mapping[str, bytes], kind: type) -> Any:
         from safetensors.numpy import load
 
         codec.arrays = load(files["arrays.safetensors"])
-    return codec.converter().structure(json.loads(files["value.json"]), kind)
+    _CODEC.set(codec)
+    return _converter().structure(json.loads(files["value.json"]), kind)
 
 
 class Store:

@@ -13,7 +13,8 @@ from rich.text import Text
 
 from pipeline import sea_commands, store_commands, study_commands
 from pipeline.console import err, out, print_json, print_table, short, show_comparison, show_inspection, show_table
-from pipeline.options import COMMON, Common, Flag, Json, JsonInstead, Robot, opened
+from pipeline.fleet_commands import compare_fleet, run_fleet
+from pipeline.options import COMMON, All, Common, Flag, From, Json, JsonInstead, On, Robot, opened
 from urdf.errors import CalibrationError, InputError
 
 if TYPE_CHECKING:
@@ -36,30 +37,40 @@ app.command(sea_commands.sea_trial)
 
 @app.command
 def run(
-    robot: Robot,
-    *,
+    *robots: str,
+    all: All = False,
+    source: From = None,
+    on: On = "1",
     until: str = "report",
     force_from: str | None = None,
+    output: Path | None = None,
     json: Annotated[Json, Parameter(help="The comparison as one JSON document on stdout.")] = False,
     common: Common = COMMON,
 ) -> None:
-    """Run the staged pipeline, and end with the comparison.
+    """Run the staged pipeline, and end with the comparison; of several robots, with the fleet's table.
 
     Parameters
     ----------
+    robots
+        Shipped robots' names, paths to robot.toml, or FLEET.toml:UNIT.
     until
         The last stage to run.
     force_from
         Run this stage and all after it, cached or not.
+    output
+        The folder of fleet.parquet (default: in the store).
     """
-    from pipeline.provenance import published
-
-    session = opened(robot, common, force_from)
+    if len(robots) != 1 or all or source is not None or on != "1" or output is not None:
+        if force_from is not None:
+            raise InputError("--force-from: allowed with one robot, in this process")
+        run_fleet(robots, all, source, on, until, output, json, common)
+        return
+    session = opened(robots[0], common, force_from)
     if until != "report":
         session.until(until)
         return
     compared, report = session.until("evaluate", "report")
-    page = session.store.publish(session.robot_id, report.html.file, published(report.html, session.entries))
+    page = session.publish(report)
     if json:
         print_json(_document(session, compared))
         return
@@ -72,28 +83,31 @@ def run(
 
 @app.command
 def compare(
-    robot: Robot,
-    *others: str,
+    *robots: str,
+    all: All = False,
+    source: From = None,
+    on: On = "1",
     json: Annotated[
         Json, Parameter(help="One JSON document on stdout; a list where there are several robots.")
     ] = False,
     common: Common = COMMON,
 ) -> None:
-    """The methods side by side on the same held-out poses.
+    """The methods side by side on the same held-out poses; of several robots, the fleet's table too.
 
     Parameters
     ----------
-    others
-        More robots.
+    robots
+        Shipped robots' names, paths to robot.toml, or FLEET.toml:UNIT.
     """
-    sessions = [opened(name, common) for name in (robot, *others)]
-    compared = [session.until("evaluate")[0] for session in sessions]
+    if len(robots) != 1 or all or source is not None or on != "1":
+        compare_fleet(robots, all, source, on, json, common)
+        return
+    session = opened(robots[0], common)
+    (compared,) = session.until("evaluate")
     if json:
-        documents = [_document(*pair) for pair in zip(sessions, compared, strict=True)]
-        print_json(documents if others else documents[0])
+        print_json(_document(session, compared))
     else:
-        for c in compared:
-            show_comparison(c)
+        show_comparison(compared)
 
 
 def _document(session: Run, compared: Comparison) -> dict[str, Any]:

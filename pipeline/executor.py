@@ -1,15 +1,20 @@
-"""Where jobs run: in this process, or in worker processes. Both are `concurrent.futures.Executor`."""
+"""Where jobs run: in this process, in worker processes, or on a Dask cluster: each a `concurrent.futures.Executor`."""
 
 from __future__ import annotations
 
 import os
+import re
 import signal
 import threading
-from collections.abc import Callable, Iterator
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import CancelledError, Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
+from contextvars import ContextVar
+from dataclasses import dataclass
 from multiprocessing import get_context, parent_process
+from pathlib import Path
 from queue import LifoQueue
 from typing import Any, ParamSpec, TypeVar
 
@@ -17,7 +22,11 @@ from urdf.errors import CalibrationError, InputError
 
 MOST_WORKERS = 1024
 _THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+_ADDRESS = re.compile(r"dask://(?P<host>[A-Za-z0-9._-]+|\[[0-9A-Fa-f:.]+\]):(?P<port>[0-9]{1,5})", re.ASCII)
 _GRACE = 1.0  # seconds for a worker to finish what it is writing
+
+# Whether the job that this worker is at is still waited for: a job looks between its stages.
+STILL_WANTED: ContextVar[Callable[[], bool]] = ContextVar("still_wanted", default=lambda: True)
 
 _P = ParamSpec("_P")
 _T = TypeVar("_T")
@@ -27,28 +36,68 @@ class WorkerDied(CalibrationError):
     """A job whose worker died, twice."""
 
 
-def worker_count(on: str) -> int:
-    """The number of workers that `--on` asks for. Raises InputError."""
+class WorkersLost(RuntimeError):
+    """Nobody is left to run jobs."""
+
+
+class JobExecutor(Executor, ABC):
+    """An executor that says how many jobs it runs at once."""
+
+    @property
+    @abstractmethod
+    def at_once(self) -> int: ...
+
+    def kill(self) -> None:
+        """Cancel what has not begun, and end the rest as soon as nothing is left half written."""
+
+
+@dataclass(frozen=True)
+class Place:
+    """What `--on` asks for."""
+
+    workers: int  # processes; 1: this process
+    scheduler: str | None = None  # host:port of a Dask cluster, which has its own
+
+
+def place(on: str) -> Place:
+    """Raises InputError."""
     if on.isascii() and on.isdigit() and len(on) < 9 and 1 <= int(on) <= MOST_WORKERS:
-        return int(on)
-    raise InputError(f"--on {on}: allowed is a number of worker processes, 1 to {MOST_WORKERS}")
+        return Place(int(on))
+    found = _ADDRESS.fullmatch(on)
+    if found and 0 < int(found["port"]) < 65536:
+        return Place(0, f"{found['host']}:{found['port']}")
+    raise InputError(f"--on {on}: allowed is a number of worker processes, 1 to {MOST_WORKERS}, or dask://host:port")
 
 
 @contextmanager
-def executor(on: int) -> Iterator[Executor]:
-    """An executor of `on` workers; 1: this process. Left by an exception, it cancels and kills."""
-    workers = InProcess() if on == 1 else Workers(on)
+def executor(on: Place, store: Path, files: Iterable[Path] = ()) -> Iterator[JobExecutor]:
+    """The workers that `--on` asks for. Left by an exception, it cancels and kills. Raises InputError.
+
+    store, files: what a cluster's workers must see at the same paths.
+    """
+    if on.scheduler is not None:
+        from pipeline.dask_workers import DaskWorkers
+
+        workers: JobExecutor = DaskWorkers(on.scheduler, store, sorted(set(files)))
+    else:
+        workers = InProcess() if on.workers == 1 else Workers(on.workers)
     try:
         yield workers
+    except WorkersLost as error:
+        workers.kill()
+        raise CalibrationError(f"{error}; what is done is in the store: the same command goes on from there") from None
     except BaseException:
-        if isinstance(workers, Workers):
-            workers.kill()
+        workers.kill()
         raise
     workers.shutdown()
 
 
-class InProcess(Executor):
+class InProcess(JobExecutor):
     """Runs a job as it is submitted."""
+
+    @property
+    def at_once(self) -> int:
+        return 1
 
     def submit(self, fn: Callable[_P, _T], /, *args: _P.args, **kwargs: _P.kwargs) -> Future[_T]:
         future: Future[_T] = Future()
@@ -59,7 +108,7 @@ class InProcess(Executor):
         return future
 
 
-class Workers(Executor):
+class Workers(JobExecutor):
     """Worker processes, each a pool of its own with a thread here that waits for it.
 
     In one common pool a worker that dies takes its neighbours along, and nobody knows whose job it was. Here it costs
@@ -67,6 +116,7 @@ class Workers(Executor):
     """
 
     def __init__(self, n: int) -> None:
+        self._n = n
         self._threads = ThreadPoolExecutor(n, "worker", initializer=_block_interrupts)
         self._n_threads = threads_per_worker(n)
         self._idle: LifoQueue[ProcessPoolExecutor] = LifoQueue()  # the last used first: it has imported most
@@ -75,6 +125,10 @@ class Workers(Executor):
         self._closing = False
         for _ in range(n):
             self._idle.put(self._started())
+
+    @property
+    def at_once(self) -> int:
+        return self._n
 
     def submit(self, fn: Callable[_P, _T], /, *args: _P.args, **kwargs: _P.kwargs) -> Future[_T]:
         return self._threads.submit(self._run, fn, args, kwargs)
@@ -113,7 +167,7 @@ class Workers(Executor):
             pool.shutdown(wait, cancel_futures=cancel_futures)
 
     def kill(self) -> None:
-        """Cancel what has not begun, and end the workers; one that is writing an artifact may finish that."""
+        """One that is writing an artifact may finish that."""
         with self._lock:
             self._closing = True
             # A pool forgets its processes as it shuts down.
@@ -143,9 +197,14 @@ def _block_interrupts() -> None:
 
 def _begin(n_threads: int) -> None:
     """Before numpy or torch are imported, which read their number of threads once."""
-    for name in _THREADS:
-        os.environ[name] = str(n_threads)
+    bound_threads(n_threads)
     threading.Thread(target=_outlive_nobody, daemon=True).start()
+
+
+def bound_threads(n: int) -> None:
+    """Of libraries that are loaded later."""
+    for name in _THREADS:
+        os.environ[name] = str(n)
 
 
 def _outlive_nobody() -> None:

@@ -5,8 +5,8 @@ from __future__ import annotations
 import heapq
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from concurrent.futures import FIRST_COMPLETED, Executor, Future, wait
-from dataclasses import asdict, dataclass
+from concurrent.futures import FIRST_COMPLETED, CancelledError, Future, wait
+from dataclasses import asdict, dataclass, replace
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -14,23 +14,25 @@ from typing import Any
 from pydantic_core import to_jsonable_python
 
 from pipeline.artifacts import Entry, Store, digest
-from pipeline.executor import undisturbed
+from pipeline.executor import STILL_WANTED, JobExecutor, undisturbed
 from pipeline.fingerprint import Code
 from pipeline.results import Comparison
 from pipeline.runner import Event, Run, all_stages, needed
-from urdf.description import RobotDescription, load_robot
+from urdf.description import RobotDescription, as_absolute
 from urdf.errors import CalibrationError, InputError
+from urdf.fleet import is_unit, load
 
 
 @dataclass(frozen=True)
 class Job:
     """A robot's way through the stages as a plain value: any worker that sees the store can go it."""
 
-    robot: str  # name, or the path to a robot.toml
+    robot: str  # name, path to a robot.toml, or FLEET.toml:UNIT
     overrides: tuple[str, ...]  # table.key=value, as of --set
     store: Path
     until: str
     command: str = ""
+    noted: bool = False  # as `kincal run` does: what the robot used last is noted down, and its report published
 
 
 @dataclass(frozen=True)
@@ -69,35 +71,80 @@ class Task:
     final: bool
 
 
+# observe(task, None) as a task is handed to a worker, and again with what came of it
+Observe = Callable[[Task, Outcome | Failure | None], None]
+
+
 class _JobStore(Store):
-    """A store that does not note down what a job used as what the robot used last, only that it is being used."""
+    """A store whose artifacts are finished before this process ends.
+
+    noted: what a job used is noted down as what its robot used last; else only that a study is using it.
+    """
+
+    def __init__(self, root: Path, noted: bool) -> None:
+        super().__init__(root)
+        self._noted = noted
 
     def remember(self, robot: str, stage: str, key: str) -> None:
-        pass
+        if self._noted:
+            super().remember(robot, stage, key)
 
     def save(self, stage: str, key: str, value: Any, manifest: Mapping[str, Any], replace: bool = False) -> Entry:
         with undisturbed():
-            self.begin(manifest["provenance"]["robot"], stage, key)
+            if not self._noted:
+                self.begin(manifest["provenance"]["robot"], stage, key)
             return super().save(stage, key, value, manifest, replace)
 
 
 @lru_cache(maxsize=1)
-def _code(store: Path) -> Code:
-    """Of the sources as this process has imported them: read once, whatever is edited while jobs run."""
-    return Code(memo=Store(store).read_memo())
+def _imported() -> Code:
+    return Code()
+
+
+def own_code(store: Path) -> Code:
+    """Of the sources as this process has imported them: each is read once, whatever is edited while jobs run."""
+    code = _imported()
+    if not code.used:
+        code.memo.update(Store(store).read_memo())
+    return code
+
+
+def portable(overrides: Iterable[str]) -> tuple[str, ...]:
+    """The same settings for a worker that runs in another folder."""
+    return tuple(as_absolute(text) for text in overrides)
+
+
+def files_of(jobs: Sequence[Job], robots: Sequence[RobotDescription]) -> set[Path]:
+    """What workers read beside the store."""
+    found = {Path(job.robot.rpartition(":")[0] if is_unit(job.robot) else job.robot) for job in jobs}
+    for robot in robots:
+        measure = robot.measure
+        found |= {f for f in (robot.urdf, measure.table, measure.streams, measure.commands) if f is not None}
+    return found
 
 
 def run_of(job: Job, observe: Callable[[Event], None] = lambda event: None) -> Run:
     """A job's way, to be gone in this process. Raises InputError."""
-    robot = load_robot(job.robot, job.overrides)
-    return Run(robot, _JobStore(job.store), None, observe, job.command, _code=_code(job.store))
+    robot = load(job.robot, job.overrides)
+    return Run(robot, _JobStore(job.store, job.noted), None, observe, job.command, _code=own_code(job.store))
 
 
 def carry_out(job: Job) -> Outcome:
-    """Go a job's way. Raises InputError and CalibrationError."""
+    """Go a job's way. Raises InputError and CalibrationError; CancelledError where nobody waits for it any more."""
     events: list[Event] = []
-    run = run_of(job, events.append)
-    (value,) = run.until(job.until)
+
+    def observe(event: Event) -> None:
+        if not STILL_WANTED.get()():
+            raise CancelledError
+        events.append(event)
+
+    run = run_of(job, observe)
+    if job.until == "report":
+        value, report = run.until("evaluate", "report")
+        if job.noted:
+            run.publish(report)
+    else:
+        (value,) = run.until(job.until)
     passed = []
     for event in (e for e in events if e.state in ("ran", "cached")):
         entry = run.entries[event.stage]
@@ -109,14 +156,12 @@ def carry_out(job: Job) -> Outcome:
 def run_all(
     jobs: Sequence[Job],
     robots: Sequence[RobotDescription],
-    workers: Executor,
-    at_once: int,
-    observe: Callable[[Task, Outcome | Failure | None], None] = lambda task, outcome: None,
+    workers: JobExecutor,
+    observe: Observe = lambda task, outcome: None,
 ) -> list[Outcome | Failure]:
-    """The outcomes of jobs in their order. robots: as the jobs' overrides make them; at_once: number of workers.
+    """The outcomes of jobs in their order. robots: as the jobs' overrides make them.
 
-    observe(task, None) as a task is handed to a worker, and again with what came of it. Where a shared beginning
-    fails, all of its jobs do, by the same error.
+    Where a shared beginning fails, all of its jobs do, by the same error.
     """
     tasks, waits_for = _tasks(jobs, robots)
     outcomes: dict[int, Outcome | Failure] = {}
@@ -129,7 +174,7 @@ def run_all(
     heapq.heapify(ready)
     running: dict[Future[Outcome], int] = {}
     while ready or running:
-        while ready and len(running) < at_once:
+        while ready and len(running) < workers.at_once:
             _, k = heapq.heappop(ready)
             observe(tasks[k], None)
             running[workers.submit(carry_out, tasks[k].job)] = k
@@ -187,7 +232,7 @@ def _tasks(jobs: Sequence[Job], robots: Sequence[RobotDescription]) -> tuple[lis
         for stage, key in prefix.items():
             if key not in number and len(users[key]) > 1 and len(follow[key]) != 1:
                 number[key] = len(tasks)
-                beginning = Job(jobs[k].robot, jobs[k].overrides, jobs[k].store, stage, jobs[k].command)
+                beginning = replace(jobs[k], until=stage)
                 tasks.append(Task(beginning, tuple(users[key]), final=False))
                 before = (prefix[s.name] for s in needed(stage) if s.name != stage)
                 waits_for.append({number[other] for other in before if other in number})

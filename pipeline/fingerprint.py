@@ -31,9 +31,15 @@ class Code:
     used: dict[str, Facts] = field(default_factory=dict)
     _facts: dict[tuple[str, bool], Facts] = field(default_factory=dict)
     _templates: dict[Path, list[Path]] = field(default_factory=dict)  # {folder of a package: all of its templates}
+    _found: dict[tuple[str, str], dict[str, str]] = field(default_factory=dict)
 
     def fingerprint(self, module: str, function: str) -> dict[str, str]:
         """{unit of code: digest} of a stage function, by name, in a project module."""
+        if (module, function) not in self._found:
+            self._found[module, function] = self._fingerprint(module, function)
+        return self._found[module, function]
+
+    def _fingerprint(self, module: str, function: str) -> dict[str, str]:
         digest, imports = self._of(module, whole=False)[function]
         found = {f"{module}:{function}": digest}
         queue = list(imports)

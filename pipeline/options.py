@@ -16,8 +16,11 @@ from urdf.errors import InputError
 if TYPE_CHECKING:
     from pipeline.runner import Run
 
-Robot = Annotated[str, Parameter(help="A shipped robot's name, or the path to a robot.toml.")]
+Robot = Annotated[str, Parameter(help="A shipped robot's name, the path to a robot.toml, or FLEET.toml:UNIT.")]
 Flag = Annotated[bool, Parameter(negative=())]
+All = Annotated[bool, Parameter(name="--all", negative=(), help="All shipped robots, or all of --from.")]
+From = Annotated[Path | None, Parameter(name="--from", help="A fleet file, or a folder of robots' folders.")]
+On = Annotated[str, Parameter(help="How many worker processes (1: this process), or dask://host:port.")]
 Json = Annotated[bool, Parameter(name="--json", negative=(), help="One JSON document on stdout.")]
 JsonInstead = Annotated[Json, Parameter(help="One JSON document on stdout instead.")]
 
@@ -44,11 +47,12 @@ def opened(robot: str, common: Common, force_from: str | None = None) -> Run:
     """The robot's way through the stages, which says on stderr how far it is. Raises InputError."""
     from pipeline.artifacts import Store
     from pipeline.runner import Run, all_stages
-    from urdf.description import load_robot, nearest
+    from urdf.description import nearest
+    from urdf.fleet import load
 
     if force_from is not None and force_from not in all_stages():
         raise InputError(f"--force-from {force_from}: no such stage; {nearest(force_from, all_stages())}")
-    loaded = load_robot(robot, common.overrides)
+    loaded = load(robot, common.overrides)
     return Run(loaded, Store(common.store), force_from, Progress(loaded.description.name), command_line())
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from identification.channels import all_turns
-from pipeline.executor import executor
-from pipeline.fan_out import Failure, Job, Outcome, Task, run_all
+from pipeline.executor import Place, executor
+from pipeline.fan_out import Failure, Job, Observe, Outcome, files_of, portable, run_all
 from pipeline.pose_errors import PoseErrors, errors_of
 from urdf.description import RobotDescription, load_robot
 from urdf.errors import CalibrationError, InputError
@@ -21,7 +21,15 @@ if TYPE_CHECKING:
 
 ROBOT = "ups3_s"
 MOST_SEEDS = 200
-_OWN = ("seed", "plan", "split", "pretrain.hidden", "prior.poses", "evaluate.closed_loop")  # what the study chooses
+_OWN = (
+    "seed",
+    "measure.seed",
+    "plan",
+    "split",
+    "pretrain.hidden",
+    "prior.poses",
+    "evaluate.closed_loop",
+)  # what the study chooses
 Row = Mapping[str, Any]
 _INDICES = ("mean", "max", "sd", "x", "y", "z")
 
@@ -140,7 +148,7 @@ def plan(
             'measure.channels must hold "orientation", or "tilt" and "yaw"'
         )
     jobs = {
-        Job(file, (*overrides, *point.overrides(study)), store.absolute(), "evaluate", command): point
+        Job(file, (*portable(overrides), *point.overrides(study)), store.absolute(), "evaluate", command): point
         for point in points(study)
     }
     return robot, jobs
@@ -150,14 +158,14 @@ def reproduce(
     study: Study,
     robot: RobotDescription,
     jobs: Mapping[Job, Point],
-    on: int,
-    observe: Callable[[Task, Outcome | Failure | None], None] = lambda task, outcome: None,
+    on: Place,
+    observe: Observe = lambda task, outcome: None,
 ) -> Reproduced:
-    """All jobs on `on` workers. Raises CalibrationError where any fails: what the others found stays in the cache."""
+    """All jobs, on these workers. Raises CalibrationError where any fails: what the others found stays in the cache."""
     robots = [load_robot(job.robot, job.overrides).description for job in jobs]
     by_point = {point: job for job, point in jobs.items()}
-    with executor(on) as workers:
-        outcomes = run_all(list(jobs), robots, workers, on, observe)
+    with executor(on, next(iter(jobs)).store, files_of(list(jobs), robots)) as workers:
+        outcomes = run_all(list(jobs), robots, workers, observe)
         failed = [(p, o) for p, o in zip(jobs.values(), outcomes, strict=True) if isinstance(o, Failure)]
         if failed:
             point, failure = failed[0]

@@ -8,7 +8,7 @@ import sys
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from importlib import metadata
 from pathlib import Path
 from typing import Any
@@ -18,6 +18,7 @@ from pydantic_core import to_jsonable_python
 from pipeline import stages
 from pipeline.artifacts import Damaged, Entry, Store, digest
 from pipeline.fingerprint import Code
+from pipeline.results import Report
 from urdf.description import PATHS, Robot
 from urdf.errors import CalibrationError, InputError
 
@@ -96,10 +97,10 @@ class Run:
     entries: dict[str, Entry] = field(default_factory=dict)  # {stage: its artifact}, of those that are up to date
     _code: Code | None = None
 
-    @property
+    @cached_property
     def robot_id(self) -> str:
-        """Two robots of one name in different folders don't mix."""
-        return f"{self.robot.description.name}-{digest(str(self.robot.file.resolve()).encode())[:10]}"
+        """Two robots of one name in different folders don't mix, nor do units of fleet files."""
+        return f"{self.robot.description.name}-{digest(str(self.robot.stands_in).encode())[:10]}"
 
     def until(self, *names: str) -> list[Any]:
         """Bring the stages `names` up to date and return their results, read back from the store."""
@@ -116,7 +117,13 @@ class Run:
 
     def _note(self) -> None:
         self.store.write_memo(self.code.used)
-        self.store.describe(self.robot_id, self.robot.file.resolve())
+        self.store.describe(self.robot_id, self.robot.stands_in)
+
+    def publish(self, report: Report) -> Path:
+        """The report where people look for it, with its provenance."""
+        from pipeline.provenance import published
+
+        return self.store.publish(self.robot_id, report.html.file, published(report.html, self.entries))
 
     @property
     def code(self) -> Code:

@@ -127,6 +127,7 @@ def measure(
     chain = nominal.chain
     if not measure.virtual:
         return _from_files(chain, nominal, measure, tolerance)
+    seed = seed if measure.seed is None else measure.seed
     truth = draw(nominal, measure.errors, seed)
     readings = plan.table[list(chain.actuated_names)].to_numpy()
     robot = VirtualRobot.of(nominal, truth)

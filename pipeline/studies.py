@@ -28,7 +28,7 @@ class Used:
     def finish(self, session: Run, study: str, made: Path, more: Iterable[tuple[str, str]] = ()) -> None:
         """Note down what `made` was made of: `gc` keeps that while `made` is there."""
         used = {*self.digests, *more}
-        session.store.describe(session.robot_id, session.robot.file.resolve())
+        session.store.describe(session.robot_id, session.robot.stands_in)
         session.store.finish(session.robot_id, study, made, used, session.command)
 
     def provenance(self) -> dict[str, Any]:

@@ -145,25 +145,25 @@ def sweep(
     seeds
         How many seeds, from 0; 1: the robot's own.
     on
-        How many worker processes; 1: this process.
+        How many worker processes (1: this process), or dask://host:port.
     output
         The folder of sweep.parquet and sweep.svg (default: the robot's folder in the store).
     """
-    from pipeline.executor import worker_count
+    from pipeline.executor import place
+    from pipeline.job_progress import JobProgress
     from pipeline.studies import Used
     from pipeline.sweep import median_tables, output_folder, plan_sweep, sweep_json, write
     from pipeline.sweep import sweep as swept_on
-    from pipeline.sweep_progress import SweepProgress
 
-    n_workers = worker_count(on)
+    where = place(on)
     overs, points = plan_sweep(robot, over or (), seeds, common.overrides, common.store, command_line())
     session = opened(robot, common)
     folder = output_folder(output, session.store.root / "robots" / session.robot_id)
     valid = [p for p in points if not isinstance(p.robot, InputError)]
     labels = {p.job: " ".join(f"{key}={value}" for key, value in p.values.items()) for p in valid}
-    with SweepProgress(session.robot.description.name, labels) as progress:
+    with JobProgress(session.robot.description.name, labels) as progress:
         used = Used(progress)
-        found = swept_on(overs, points, n_workers, used)
+        found = swept_on(overs, points, where, used)
     found.table.attrs["provenance"] = used.provenance()
     table, figure = write(found, folder)
     used.finish(session, "sweep", table)
@@ -195,24 +195,24 @@ def reproduce(
     seeds
         How many seeds, from 0: each draws robot, noise, split and networks.
     on
-        How many worker processes; 1: this process.
+        How many worker processes (1: this process), or dask://host:port.
     output
         The folder of index.html, the figures, the tables and results.json.
     """
-    from pipeline.executor import worker_count
+    from pipeline.executor import place
+    from pipeline.job_progress import JobProgress
     from pipeline.reproduce import ROBOT, study_of
     from pipeline.reproduce import plan as planned
     from pipeline.reproduce import reproduce as reproduced
     from pipeline.studies import Used
     from pipeline.sweep import output_folder
-    from pipeline.sweep_progress import SweepProgress
 
-    n_workers, study = worker_count(on), study_of(seeds)
+    where, study = place(on), study_of(seeds)
     robot, jobs = planned(study, common.overrides, common.store, command_line())
     folder = output_folder(output, output)
-    with SweepProgress(robot.name, {job: str(point) for job, point in jobs.items()}) as progress:
+    with JobProgress(robot.name, {job: str(point) for job, point in jobs.items()}) as progress:
         used = Used(progress)
-        found = reproduced(study, robot, jobs, n_workers, used)
+        found = reproduced(study, robot, jobs, where, used)
     from pipeline.reproduction_page import findings, summary, write
 
     made = findings(found)

@@ -2,26 +2,27 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from pipeline.executor import executor
-from pipeline.fan_out import Failure, Job, Outcome, Task, run_all
+from pipeline.executor import Place, executor
+from pipeline.fan_out import Failure, Job, Observe, Outcome, files_of, portable, run_all
 from pipeline.grid import Over, combinations, parse_over
 from pipeline.tables import Table, fixed
 from pipeline.writing import refusing, replace_file
-from urdf.description import RobotDescription, load_robot
+from urdf.description import RobotDescription
 from urdf.errors import CalibrationError, InputError
+from urdf.fleet import as_reference, load
 
 if TYPE_CHECKING:
     import pandas as pd
 
 MOST_SEEDS = 10_000
-Observe = Callable[[Task, Outcome | Failure | None], None]
 _NUMBERS = ("mean_deg", "max_deg", "sd_deg", "x_deg", "y_deg", "z_deg", "mean_mm", "max_mm", "sd_mm")
 _MORE = ("closed_loop_mean_deg", "closed_loop_mean_mm", "held_out_mean_deg", "held_out_mean_mm")
+METHOD_NUMBERS = (*_NUMBERS, *_MORE)
 _DIGITS = {"mean_deg": 5, "mean_mm": 4}
 UNITS = {"mean_deg": "deg", "mean_mm": "mm"}
 
@@ -72,12 +73,13 @@ def plan_sweep(
         overs = (*overs, Over("seed", tuple(map(str, range(seeds)))))
     if not overs:
         raise InputError("nothing to sweep: give --over table.key=value,value,... or --seeds of 2 or more")
-    file = str(load_robot(robot, overrides).file)
+    load(robot, overrides)
+    reference, shared = as_reference(robot), portable(overrides)
     points = []
     for places in combinations(overs):
         own = tuple(o.overrides()[k] for o, k in zip(overs, places, strict=True))
         values = {o.key: o.values[k] for o, k in zip(overs, places, strict=True)}
-        job = Job(file, (*overrides, *own), store.absolute(), "evaluate", command)
+        job = Job(reference, (*shared, *portable(own)), store.absolute(), "evaluate", command)
         points.append(Point(values, job, _loaded(job, own)))
     bad = next((p.robot for p in points if isinstance(p.robot, InputError)), None)
     if bad is not None and all(isinstance(p.robot, InputError) for p in points):
@@ -87,7 +89,7 @@ def plan_sweep(
 
 def _loaded(job: Job, own: Sequence[str]) -> RobotDescription | InputError:
     try:
-        return load_robot(job.robot, job.overrides).description
+        return load(job.robot, job.overrides).description
     except InputError as error:
         said = str(error)
         for override in own:  # as it was written
@@ -95,11 +97,12 @@ def _loaded(job: Job, own: Sequence[str]) -> RobotDescription | InputError:
         return InputError(said)
 
 
-def sweep(overs: tuple[Over, ...], points: Sequence[Point], on: int, observe: Observe) -> Swept:
-    """All jobs on `on` workers. A job that fails is a row; what is neither bad input nor a failed check is raised."""
+def sweep(overs: tuple[Over, ...], points: Sequence[Point], on: Place, observe: Observe) -> Swept:
+    """All jobs, on these workers. A job that fails is a row; what is neither bad input nor a failed check is raised."""
     valid = [(point, point.robot) for point in points if isinstance(point.robot, RobotDescription)]
-    with executor(on) as workers:
-        came = run_all([p.job for p, _ in valid], [robot for _, robot in valid], workers, on, observe)
+    jobs, robots = [point.job for point, _ in valid], [robot for _, robot in valid]
+    with executor(on, jobs[0].store, files_of(jobs, robots)) as workers:
+        came = run_all(jobs, robots, workers, observe)
     outcomes = {id(point): outcome for (point, _), outcome in zip(valid, came, strict=True)}
     rows, failures = [], []
     for point in points:
@@ -116,14 +119,18 @@ def _rows(point: Point, outcome: Outcome | Failure) -> list[dict[str, Any]]:
     own = {"seed": seed} | dict(point.values)
     if isinstance(outcome, Failure):
         return [own | {"error": str(outcome.error)}]
-    compared = outcome.comparison
-    assert compared is not None
+    assert outcome.comparison is not None
+    return [own | row for row in method_rows(outcome.comparison)]
+
+
+def method_rows(compared: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """A comparison as rows, one a method."""
     closed = {score["name"]: score for score in compared["closed_loop"]}
     held_out = {score["name"]: score for score in compared["held_out"]}
     rows = []
     for score in compared["methods"]:
         name, axes = score["name"], score["axis_mean_deg"]
-        row = own | {"method": name, "scored_on": compared["scored_on"], "n_poses": compared["n_poses"]}
+        row = {"method": name, "scored_on": compared["scored_on"], "n_poses": compared["n_poses"]}
         row |= {number: score[number] for number in _NUMBERS if number in score}
         row |= {f"{axis}_deg": axes[axis] for axis in "xyz"}
         for group, scores in (("closed_loop", closed), ("held_out", held_out)):
@@ -151,7 +158,7 @@ def _frame(robot: str, overs: Sequence[Over], rows: Sequence[Mapping[str, Any]])
     for column in ("method", "scored_on"):
         table[column] = pd.array([row.get(column) for row in rows], dtype="string")
     table["n_poses"] = pd.array([row.get("n_poses") for row in rows], dtype="Int64")
-    for column in (*_NUMBERS, *_MORE):
+    for column in METHOD_NUMBERS:
         table[column] = pd.array([row.get(column) for row in rows], dtype="Float64")
     table["error"] = pd.array([row.get("error") for row in rows], dtype="string")
     return table
@@ -183,7 +190,7 @@ def median_tables(swept: Swept) -> list[tuple[str, Table]]:
     tables = []
     for mean in measured_units(found):
         rows: dict[tuple[str, ...], dict[str, str]] = {}
-        for row in _records(found):
+        for row in records(found):
             label = tuple(str(row[key]) for key in swept.keys) or (swept.robot,)
             cells = rows.setdefault(label, {"jobs": str(row["jobs"])})
             cells[row["method"]] = fixed(row[mean], _DIGITS[mean])
@@ -203,12 +210,12 @@ def sweep_json(swept: Swept, table: Path, figure: Path | None) -> dict[str, Any]
         "failed": len(swept.failures),
         "table": str(table),
         "figure": None if figure is None else str(figure),
-        "medians": _records(medians(swept)),
-        "rows": _records(swept.table),
+        "medians": records(medians(swept)),
+        "rows": records(swept.table),
     }
 
 
-def _records(table: pd.DataFrame) -> list[dict[str, Any]]:
+def records(table: pd.DataFrame) -> list[dict[str, Any]]:
     """Rows of plain values, None where there is none."""
     columns = {str(name): zip(c.tolist(), c.isna(), strict=True) for name, c in table.items()}
     plain = {name: [None if empty else v for v, empty in cells] for name, cells in columns.items()}

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import copy
 import difflib
+import json
 import math
 import tomllib
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar, get_args
 
@@ -25,6 +28,7 @@ Vector = Annotated[tuple[float, float, float], Field(strict=False)]
 Positive = Annotated[float, Field(gt=0)]
 NotNegative = Annotated[float, Field(ge=0)]
 File = Annotated[Path, Field(strict=False)]
+Seed = Annotated[int, Field(ge=0, lt=2**32)]
 Unit = Literal["m", "mm", "rad", "deg", "rev", "1"]
 Channel = Literal["orientation", "position", "tilt", "yaw"]
 Layout = Literal["grid", "random", "d_optimal"]
@@ -198,6 +202,7 @@ class Measure(_Table):
     separator: Annotated[str, Field(min_length=1, max_length=1)] = ","
     decimal: Literal[".", ","] = "."
     channels: tuple[Channel, ...] | None = Field(default=None, strict=False)  # virtual; default: all that can move
+    seed: Seed | None = None  # virtual: of this unit's errors and its noise; default: the seed at the top
     stream: Stream | None = None  # virtual: tilt and yaw come as streams; without it, as one reading a pose
     errors: VirtualErrors = VirtualErrors()
 
@@ -288,7 +293,7 @@ class Siblings(_Table):
     poses: Annotated[int, Field(ge=8, le=10_000)] = 600
     hidden: Annotated[int, Field(ge=1, le=64)] = 24  # units in each of the two hidden layers
     iterations: Annotated[int, Field(ge=1, le=100_000)] = 3000  # of Adam
-    seed: Annotated[int, Field(ge=0, lt=2**32)] = 0  # of its own: robots of one design share their siblings
+    seed: Seed = 0  # of its own: robots of one design share their siblings
 
 
 class Correct(_Table):
@@ -334,7 +339,7 @@ class RobotDescription(Mechanism):
     name: Name
     urdf: File
     measure: Measure
-    seed: Annotated[int, Field(ge=0, lt=2**32)] = 0
+    seed: Seed = 0
     tolerance: Tolerance = Tolerance()
     sensor: Sensor = Sensor()
     split: Split = Split()
@@ -379,6 +384,21 @@ class Robot:
 
     file: Path
     description: RobotDescription
+    fleet: Path | None = None  # the fleet file that makes it a unit of this design
+
+    @property
+    def stands_in(self) -> Path:
+        """The file whose removal takes this robot away."""
+        return (self.fleet or self.file).resolve()
+
+
+@dataclass(frozen=True)
+class Setting:
+    """One value that goes over robot.toml's."""
+
+    keys: tuple[str, ...]
+    value: Any
+    said: str  # where the user said it
 
 
 # Fields that hold a path: relative to robot.toml there, to the current folder in --set.
@@ -391,22 +411,24 @@ def load_robot(robot: str, overrides: Sequence[str] = ()) -> Robot:
     overrides: `table.key=value`, each value in TOML syntax (a bare word is a string).
     Raises InputError, naming the file, the field, what was found and what is allowed.
     """
-    file = _find(robot)
-    content = _read_toml(file)
+    file = find_robot(robot)
+    return Robot(file, described(file, map(parse_override, overrides)))
+
+
+def described(file: Path, settings: Iterable[Setting]) -> RobotDescription:
+    """A robot.toml with settings over it. Raises InputError, as load_robot does."""
+    content = read_toml(file)
     _resolve_paths(content, file.parent)
     origin: dict[tuple[str, ...], str] = {}
-    for text in overrides:
-        keys, value = _parse_override(text)
-        _put(content, keys, value, text)
-        if keys in PATHS and isinstance(value, str):
-            _put(content, keys, str(Path(value).absolute()), text)
-        origin[keys] = f"--set {text}"
-    return Robot(file, validate(RobotDescription, content, str(file), origin))
+    for setting in settings:
+        _put(content, setting)
+        origin[setting.keys] = setting.said
+    return validate(RobotDescription, content, str(file), origin)
 
 
 def read_columns(file: Path) -> dict[str, Column]:
     """A column map from a TOML file of its own, as [measure.columns] has it."""
-    content = _read_toml(file)
+    content = read_toml(file)
     return validate(Measure, {"table": "-", "columns": content.get("columns", content)}, str(file)).columns
 
 
@@ -471,7 +493,8 @@ def _shorten(value: Any) -> str:
     return text if len(text) <= 60 else text[:57] + "..."
 
 
-def _find(robot: str) -> Path:
+def find_robot(robot: str) -> Path:
+    """The robot.toml of a shipped robot's name, or of a path. Raises InputError."""
     path = Path(robot)
     if path.is_dir() and (path / "robot.toml").is_file():
         return (path / "robot.toml").absolute()
@@ -484,19 +507,35 @@ def _find(robot: str) -> Path:
     raise InputError(f"robot {robot!r}: neither a file nor a shipped robot; {nearest(robot, names)}")
 
 
-def _read_toml(file: Path) -> dict[str, Any]:
+def read_toml(file: Path) -> dict[str, Any]:
+    """Raises InputError."""
+    return parse_toml(toml_text(file), str(file))
+
+
+def toml_text(file: Path) -> str:
+    """Raises InputError."""
     try:
-        return tomllib.loads(file.read_text(encoding="utf-8"))
-    except tomllib.TOMLDecodeError as error:
-        raise InputError(f"{file}: not valid TOML: {error}") from None
+        return file.read_text(encoding="utf-8")
     except UnicodeDecodeError:
         raise InputError(f"{file}: not UTF-8 text") from None
-    except ValueError as error:  # an integer of thousands of digits
-        raise InputError(f"{file}: not valid TOML: {error}") from None
     except OSError as error:
         raise InputError(f"{file}: can't be read: {error.strerror}") from None
+
+
+def parse_toml(text: str, where: str) -> dict[str, Any]:
+    """Raises InputError."""
+    try:
+        return copy.deepcopy(_parsed(text))
+    except ValueError as error:  # also an integer of thousands of digits
+        raise InputError(f"{where}: not valid TOML: {error}") from None
     except RecursionError:
-        raise InputError(f"{file}: nested too deeply") from None
+        raise InputError(f"{where}: nested too deeply") from None
+
+
+@lru_cache(maxsize=8)
+def _parsed(text: str) -> dict[str, Any]:
+    """The units of a fleet share their drawing."""
+    return tomllib.loads(text)
 
 
 def _resolve_paths(content: dict[str, Any], folder: Path) -> None:
@@ -508,20 +547,33 @@ def _resolve_paths(content: dict[str, Any], folder: Path) -> None:
             table[key] = str(folder / table[key])
 
 
-def _parse_override(text: str) -> tuple[tuple[str, ...], Any]:
-    key, equals, value = text.partition("=")
+def parse_override(text: str) -> Setting:
+    """--set table.key=value; paths are relative to the current folder. Raises InputError."""
+    key, equals, written = text.partition("=")
     if not equals or not key.strip():
         raise InputError(f"--set {text}: allowed is table.key=value")
     keys = tuple(part.strip() for part in key.split("."))
     try:
-        return keys, tomllib.loads(f"value = {value}")["value"]
+        value = tomllib.loads(f"value = {written}")["value"]
     except (ValueError, RecursionError):  # a bare word, or what no field allows
-        return keys, value.strip()
+        value = written.strip()
+    return Setting(keys, relative_to(Path.cwd(), keys, value), f"--set {text}")
 
 
-def _put(content: dict[str, Any], keys: tuple[str, ...], value: Any, text: str) -> None:
-    for key in keys[:-1]:
+def as_absolute(text: str) -> str:
+    """The same override for a process in another folder."""
+    setting = parse_override(text)
+    return f"{'.'.join(setting.keys)}={json.dumps(setting.value)}" if setting.keys in PATHS else text
+
+
+def relative_to(folder: Path, keys: tuple[str, ...], value: Any) -> Any:
+    """A setting's value; where it is a path, below this folder."""
+    return str(folder / value) if keys in PATHS and isinstance(value, str) else value
+
+
+def _put(content: dict[str, Any], setting: Setting) -> None:
+    for key in setting.keys[:-1]:
         content = content.setdefault(key, {})
         if not isinstance(content, dict):
-            raise InputError(f"--set {text}: {key} is not a table")
-    content[keys[-1]] = value
+            raise InputError(f"{setting.said}: {key} is not a table")
+    content[setting.keys[-1]] = setting.value

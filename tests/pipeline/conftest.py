@@ -281,6 +281,26 @@ def kincal(tmp_path, environment):
     return call
 
 
+DIES_ONCE = """
+import os, pathlib
+from pipeline import fan_out, runner
+folder = pathlib.Path({folder!r})
+if not (folder / "been").exists():
+    (folder / "been").touch()
+    def dies(self, stage, *given, _produce=runner.Run._produce, **more):
+        return os._exit(1) if stage.name == "measure" else _produce(self, stage, *given, **more)
+    runner.Run._produce = dies
+job = fan_out.Job("ups3_s", {overrides!r}, folder / "store", "measure")
+(folder / "passed").write_text(" ".join(p.state for p in fan_out.carry_out(job).passed))
+"""
+
+
+@pytest.fixture(scope="session")
+def dies_once():
+    """dies_once(folder): code of a job whose process dies in `measure` once; then `passed` says what ran."""
+    return lambda folder: DIES_ONCE.format(folder=str(folder), overrides=QUICK)
+
+
 @pytest.fixture(scope="session")
 def stage_names() -> tuple[str, ...]:
     return tuple(all_stages())

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from pipeline.executor import WorkerDied, executor, threads_per_worker, undisturbed, worker_count
+from pipeline.executor import Place, WorkerDied, executor, place, threads_per_worker, undisturbed
 from pipeline.fan_out import Failure, Job, run_all, run_of
 from urdf.description import load_robot
 from urdf.errors import InputError
@@ -25,8 +25,8 @@ def jobs(store: Path, until: str, *overrides: tuple[str, ...]) -> list[Job]:
 
 def done(jobs: list[Job], on: int, observe=lambda task, outcome: None) -> list:
     robots = [load_robot(job.robot, job.overrides).description for job in jobs]
-    with executor(on) as workers:
-        return run_all(jobs, robots, workers, on, observe)
+    with executor(Place(on), jobs[0].store) as workers:
+        return run_all(jobs, robots, workers, observe)
 
 
 def grid(store: Path) -> list[Job]:
@@ -66,6 +66,12 @@ def test_what_jobs_share_runs_once(both, on):
     assert [(task.job.until, len(task.jobs)) for task in ahead] == [("model", 4)]
     for outcome in outcomes:
         assert next(p.state for p in outcome.passed if p.stage == "model") == "cached"
+
+
+def test_a_worker_that_dies_costs_its_stage_alone(tmp_path, dies_once):
+    with executor(Place(2), tmp_path) as workers:
+        workers.submit(exec, dies_once(tmp_path)).result()
+    assert (tmp_path / "passed").read_text() == "cached cached ran"
 
 
 def test_a_second_time_all_is_cached(tmp_path):
@@ -125,7 +131,7 @@ def test_what_waits_for_a_failed_beginning_fails_by_its_error(tmp_path):
 
 
 def test_a_worker_that_dies_costs_its_job_alone():
-    with executor(2) as workers:
+    with executor(Place(2), Path()) as workers:
         dies, lives = workers.submit(os._exit, 1), workers.submit(eval, "__import__('time').sleep(0.3) or 7")
         assert lives.result() == 7
         with pytest.raises(WorkerDied, match="twice"):
@@ -135,7 +141,7 @@ def test_a_worker_that_dies_costs_its_job_alone():
 
 def test_a_job_whose_worker_died_is_tried_once_more(tmp_path):
     once = f"import os, pathlib; p = pathlib.Path({str(tmp_path / 'been')!r}); p.exists() or (p.touch(), os._exit(1))"
-    with executor(2) as workers:
+    with executor(Place(2), Path()) as workers:
         assert workers.submit(exec, once).result() is None
 
 
@@ -153,7 +159,7 @@ def test_an_exception_kills_the_workers():
     pids = []
 
     def interrupted():
-        with executor(2) as workers:
+        with executor(Place(2), Path()) as workers:
             pids.append(workers.submit(os.getpid).result())
             running = [workers.submit(time.sleep, 60) for _ in range(5)]
             while not running[0].running():
@@ -169,9 +175,10 @@ def test_an_exception_kills_the_workers():
 
 CHILD = """
 import os, sys, time
-from pipeline.executor import executor
+from pathlib import Path
+from pipeline.executor import Place, executor
 if __name__ == "__main__":
-    with executor(2) as workers:
+    with executor(Place(2), Path()) as workers:
         print(workers.submit(os.getpid).result(), flush=True)
         workers.submit(time.sleep, 60).result()
 """
@@ -208,7 +215,7 @@ def test_what_is_being_written_is_finished_first():
 
 
 def test_threads_of_workers_do_not_fight_over_the_cores(monkeypatch):
-    with executor(2) as workers:
+    with executor(Place(2), Path()) as workers:
         names = "[__import__('os').environ[n + '_NUM_THREADS'] for n in ('OMP', 'OPENBLAS', 'MKL')]"
         assert workers.submit(eval, names).result() == ["1", "1", "1"]
     monkeypatch.setattr(os, "cpu_count", lambda: 8)
@@ -217,7 +224,16 @@ def test_threads_of_workers_do_not_fight_over_the_cores(monkeypatch):
         assert threads_per_worker(n) == expected
 
 
-@pytest.mark.parametrize("on", ["0", "-1", "two", "1.5", "", "99999", "9" * 5000, "dask://here:8786", "٣"])
+@pytest.mark.parametrize(
+    "on",
+    ["0", "-1", "two", "1.5", "", "99999", "9" * 5000, "٣", "dask://", "dask://here", "dask://here:0", "dask://a b:1"],
+)
 def test_what_on_refuses(on):
     with pytest.raises(InputError, match=r"--on .*allowed is a number"):
-        worker_count(on)
+        place(on)
+
+
+def test_what_on_takes():
+    assert place("3") == Place(3)
+    assert place("dask://node-1.cluster:8786") == Place(0, "node-1.cluster:8786")
+    assert place("dask://[::1]:8786").scheduler == "[::1]:8786"

@@ -1,27 +1,39 @@
-"""How far a sweep is: a bar in a terminal, plain lines elsewhere; always on stderr, and only by the parent."""
+"""How far many jobs are: a bar and a row a running job in a terminal, else plain lines; by the parent, on stderr."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+from rich.progress import (
+    BarColumn,
+    MofNCompleteColumn,
+    Progress,
+    TaskID,
+    TextColumn,
+    TimeElapsedColumn,
+    TimeRemainingColumn,
+)
 from rich.text import Text
 
 from pipeline.console import err
 from pipeline.fan_out import Failure, Job, Outcome, Task
 
 
-class SweepProgress:
-    """To be called as `run_all` observes; a context manager, so that an interrupted bar ends, too."""
+class JobProgress:
+    """To be called as `run_all` observes; a context manager, so that an interrupted bar ends, too.
 
-    def __init__(self, robot: str, labels: Mapping[Job, str]) -> None:
-        self._robot, self._labels = robot, labels
+    named: one line a job in a terminal, too: they are robots.
+    """
+
+    def __init__(self, robot: str, labels: Mapping[Job, str], named: bool = False) -> None:
+        self._robot, self._labels, self._named = robot, labels, named
+        self._running: dict[Task, TaskID] = {}
         self._done = self._failed = 0
         columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
         self._bar = Progress(*columns, TimeRemainingColumn(), TextColumn("{task.fields[now]}"), console=err)
         self._row = self._bar.add_task(robot, total=len(labels), now="")
 
-    def __enter__(self) -> SweepProgress:
+    def __enter__(self) -> JobProgress:
         if err.is_terminal:
             self._bar.start()
         return self
@@ -32,9 +44,11 @@ class SweepProgress:
 
     def __call__(self, task: Task, outcome: Outcome | Failure | None) -> None:
         if outcome is None:
-            shared = "" if task.final else f"{task.job.until}, shared by {len(task.jobs)}"
-            self._bar.update(self._row, now=shared)
+            what = self._labels[task.job] if task.final else f"{task.job.until}, shared by {len(task.jobs)}"
+            self._running[task] = self._bar.add_task(f"  {what}", total=None, now="")
             return
+        if task in self._running:
+            self._bar.remove_task(self._running.pop(task))
         for warning in () if isinstance(outcome, Failure) else outcome.damaged:
             self._say(f"warning: {warning}; set aside, it runs again", "yellow")
         if not task.final:
@@ -44,7 +58,7 @@ class SweepProgress:
         self._done += 1
         self._failed += isinstance(outcome, Failure)
         self._bar.update(self._row, completed=self._done, now=f"{self._failed} failed" if self._failed else "")
-        if isinstance(outcome, Failure) or not err.is_terminal:
+        if isinstance(outcome, Failure) or self._named or not err.is_terminal:
             where = f"{self._robot} {self._done}/{len(self._labels)} {self._labels[task.job]}"
             self._say(f"{where}  {_what(outcome)}", "red" if isinstance(outcome, Failure) else "")
 

@@ -1,0 +1,97 @@
+"""`kincal run` and `kincal compare` of several robots."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from rich.text import Text
+
+from pipeline.console import out, print_json, short, show_comparison, show_table
+from pipeline.options import Common, command_line
+
+if TYPE_CHECKING:
+    from pipeline.fleet import Carried
+
+
+def run_fleet(
+    robots: Sequence[str],
+    everything: bool,
+    source: Path | None,
+    on: str,
+    until: str,
+    output: Path | None,
+    json: bool,
+    common: Common,
+) -> None:
+    """Raises InputError, also where all robots were bad input; CalibrationError where any failed otherwise."""
+    folder, came = _carried(robots, everything, source, on, until, output, common)
+    if until not in ("evaluate", "report"):
+        from pipeline.fleet_table import stage_table
+
+        show_table(stage_table(came, until), align="left")
+    else:
+        _show(came, folder, json)
+    came.check()
+
+
+def compare_fleet(
+    robots: Sequence[str], everything: bool, source: Path | None, on: str, json: bool, common: Common
+) -> None:
+    """Raises as run_fleet does."""
+    folder, came = _carried(robots, everything, source, on, "evaluate", None, common)
+    if everything:
+        _show(came, folder, json)
+    else:
+        from pipeline.fan_out import Outcome
+
+        compared = [c.comparison for c in came.outcomes if isinstance(c, Outcome)]
+        if json:
+            print_json(compared)
+        else:
+            from cattrs import structure
+
+            from pipeline.results import Comparison
+
+            for comparison in compared:
+                show_comparison(structure(comparison, Comparison))
+            _show(came, folder, json)
+    came.check()
+
+
+def _carried(
+    robots: Sequence[str],
+    everything: bool,
+    source: Path | None,
+    on: str,
+    until: str,
+    output: Path | None,
+    common: Common,
+) -> tuple[Path, Carried]:
+    from pipeline.executor import place
+    from pipeline.fleet import carry_all, plan_fleet, select
+    from pipeline.job_progress import JobProgress
+    from pipeline.runner import needed
+    from pipeline.sweep import output_folder
+
+    where, chosen = place(on), select(robots, everything, source)
+    needed(until)  # refuses a stage that does not exist
+    members = plan_fleet(chosen, common.overrides, common.store, until, command_line())
+    folder = output_folder(output, common.store.absolute() / "fleets" / chosen.folder)
+    with JobProgress(chosen.name, {m.job: m.name for m in members}, named=True) as progress:
+        return folder, carry_all(chosen.name, members, where, progress)
+
+
+def _show(came: Carried, folder: Path, json: bool) -> None:
+    from pipeline.fleet_table import family_lines, fleet_json, fleet_table, shown_table, write_table
+
+    table = fleet_table(came)
+    file = write_table(table, folder)
+    if json:
+        print_json(fleet_json(came, table, file))
+        return
+    show_table(shown_table(table))
+    for line in family_lines(table):
+        out.print(Text(line), soft_wrap=True)
+    out.print(Text(f"table: {short(file)}"), soft_wrap=True)
