@@ -283,7 +283,16 @@ def _sealed(folder: Path) -> dict[str, Any] | None:
     """A folder's manifest, if it is whole."""
     manifest = _read_json(folder / "manifest.json")
     whole = isinstance(manifest, dict) and manifest.pop("seal", None) == digest(manifest)
-    return manifest if whole else None
+    return manifest if whole and _lists_files(manifest) else None
+
+
+def _lists_files(manifest: Mapping[str, Any]) -> bool:
+    """Whether a manifest says of files in its own folder what they hold."""
+    files = manifest.get("files")
+    return isinstance(files, dict) and all(
+        name == Path(name).name and isinstance(said, dict) and {"bytes", "sha256"} <= set(said)
+        for name, said in files.items()
+    )
 
 
 def _read_json(file: Path) -> Any:

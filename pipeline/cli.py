@@ -14,7 +14,7 @@ from rich.text import Text
 from pipeline import sea_commands, study_commands
 from pipeline.console import err, out, print_json, print_table, short, show_comparison, show_inspection, show_table
 from pipeline.options import COMMON, Common, Flag, Json, JsonInstead, Robot, opened
-from urdf.errors import CalibrationError, InputError
+from urdf.errors import CalibrationError, InputError, one_line
 
 app = App(
     name="kincal",
@@ -249,7 +249,7 @@ def _status(call: Callable[[], Any]) -> int:
 
 
 def _say(message: str, code: int) -> int:
-    err.print(Text("kincal: " + " ".join(message.split())), soft_wrap=True)
+    err.print(Text("kincal: " + one_line(message)), soft_wrap=True)
     return code
 
 

@@ -20,6 +20,7 @@ from pipeline.artifacts import Damaged, Entry, Store, digest
 from pipeline.fingerprint import Code
 from urdf.description import PATHS, Robot
 from urdf.errors import CalibrationError, InputError
+from urdf.input_files import check_file
 
 _LONGEST = 100  # letters of a changed value that are shown
 
@@ -275,6 +276,7 @@ def _file_digest(file: Path) -> str:
     try:
         if file.is_dir():
             return digest({part.name: _file_digest(part) for part in sorted(file.iterdir()) if part.is_file()})
+        check_file(file)
         with open(file, "rb") as stream:
             return hashlib.file_digest(stream, "sha256").hexdigest()
     except OSError as error:

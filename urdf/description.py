@@ -4,17 +4,21 @@ from __future__ import annotations
 
 import difflib
 import math
-import tomllib
+import os
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import islice
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar, get_args
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
 
 from urdf.errors import InputError
+from urdf.input_files import MAX_KEY, MAX_TOML, parse_toml, read_text
 
 ROBOTS = Path(__file__).parent / "robots"
+
+_SHOWN = 12  # names, of many that are allowed
 
 _Model = TypeVar("_Model", bound=BaseModel)
 
@@ -424,6 +428,8 @@ def validate(
             shared = min(len(loc), len(keys)) if first["type"] == "extra_forbidden" else len(keys)
             if shared and loc[:shared] == keys[:shared]:
                 where = text
+            elif first["type"] == "value_error" and loc == keys[: len(loc)]:  # of the whole table
+                where = f"{where} with {text}"
         field = ".".join(loc)
         raise InputError(f"{where}: {field + ': ' if field else ''}{_explain(first, model)}") from None
 
@@ -459,23 +465,28 @@ def nearest(name: str, legal: Iterable[str]) -> str:
     """What to say of a name that does not exist: the nearest one, or all that do."""
     legal = list(legal)
     close = difflib.get_close_matches(name, legal, n=1, cutoff=0.5)
-    return (
-        f"did you mean {close[0]!r}?"
-        if close
-        else f"allowed: {', '.join(legal[:12])}{', ...' if len(legal) > 12 else ''}"
-    )
+    return f"did you mean {close[0]!r}?" if close else f"allowed: {listed(legal)}"
+
+
+def listed(names: Iterable[Any]) -> str:
+    """The first of them; whoever reads it wants no page."""
+    shown = [str(name) for name in islice(names, _SHOWN + 1)]
+    return ", ".join(shown[:_SHOWN]) + (", ..." if len(shown) > _SHOWN else "")
 
 
 def _shorten(value: Any) -> str:
-    text = repr(value)
+    try:
+        text = repr(value)
+    except ValueError:
+        return "a number of thousands of digits"
     return text if len(text) <= 60 else text[:57] + "..."
 
 
 def _find(robot: str) -> Path:
     path = Path(robot)
-    if path.is_dir() and (path / "robot.toml").is_file():
+    if os.path.isfile(path / "robot.toml"):  # unlike Path.is_file, quiet where a folder may not be looked into
         return (path / "robot.toml").absolute()
-    if path.is_file():
+    if os.path.isfile(path):
         return path.absolute()
     shipped = ROBOTS / robot / "robot.toml"
     if "/" not in robot and shipped.is_file():
@@ -485,18 +496,11 @@ def _find(robot: str) -> Path:
 
 
 def _read_toml(file: Path) -> dict[str, Any]:
+    text = read_text(file, MAX_TOML)
     try:
-        return tomllib.loads(file.read_text(encoding="utf-8"))
-    except tomllib.TOMLDecodeError as error:
+        return parse_toml(text)
+    except ValueError as error:
         raise InputError(f"{file}: not valid TOML: {error}") from None
-    except UnicodeDecodeError:
-        raise InputError(f"{file}: not UTF-8 text") from None
-    except ValueError as error:  # an integer of thousands of digits
-        raise InputError(f"{file}: not valid TOML: {error}") from None
-    except OSError as error:
-        raise InputError(f"{file}: can't be read: {error.strerror}") from None
-    except RecursionError:
-        raise InputError(f"{file}: nested too deeply") from None
 
 
 def _resolve_paths(content: dict[str, Any], folder: Path) -> None:
@@ -513,9 +517,13 @@ def _parse_override(text: str) -> tuple[tuple[str, ...], Any]:
     if not equals or not key.strip():
         raise InputError(f"--set {text}: allowed is table.key=value")
     keys = tuple(part.strip() for part in key.split("."))
+    if not text.isascii() and any(0xD800 <= ord(c) < 0xE000 for c in text):
+        raise InputError(f"--set {text}: not UTF-8 text")
+    if len(keys) > MAX_KEY:
+        raise InputError(f"--set {text}: a key of {len(keys)} parts; allowed are {MAX_KEY}")
     try:
-        return keys, tomllib.loads(f"value = {value}")["value"]
-    except (ValueError, RecursionError):  # a bare word, or what no field allows
+        return keys, parse_toml(f"value = {value}")["value"]
+    except ValueError:  # a bare word, or what no field allows
         return keys, value.strip()
 
 

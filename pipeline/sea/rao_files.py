@@ -9,7 +9,7 @@ import numpy as np
 from scipy.constants import knot
 
 from pipeline.sea.rao import MODES, RaoTable
-from urdf.description import Column
+from urdf.description import Column, listed
 from urdf.errors import InputError
 
 if TYPE_CHECKING:
@@ -47,7 +47,7 @@ def read_rao(file: Path, speed: float) -> RaoTable:
 
 def _own(file: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """frequency (f,), direction (d,), speeds (s,), values (s, f, d, 6) of kincal's own table."""
-    from identification.measurements import load
+    from identification.table_files import load
     from urdf.description import Measure
 
     raw = load(file, Measure())
@@ -79,7 +79,7 @@ def _column(raw: pd.DataFrame, name: str, file: Path) -> np.ndarray:
     from identification.measurements import numbers
 
     if name not in raw:
-        raise InputError(f"{file}: column {name!r} is missing; it has {', '.join(map(str, raw.columns))}")
+        raise InputError(f"{file}: column {name!r} is missing; it has {listed(raw.columns)}")
     return numbers(raw[name].tolist(), Column.model_validate({"from": name}), file)
 
 
