@@ -2,7 +2,7 @@
 PYTHON ?= python3
 BIN := .venv/bin
 
-.PHONY: run test install bench lint clean
+.PHONY: run test install bench fuzz lint clean
 run: .venv/installed
 	$(BIN)/kincal run ups3_s
 
@@ -13,6 +13,9 @@ install: .venv/installed
 
 bench: .venv/installed
 	$(BIN)/python -m benchmarks
+
+fuzz: .venv/installed
+	$(BIN)/python -m tests.fuzz --cases 20000 --commands 60
 
 lint: .venv/installed
 	$(BIN)/ruff check .

@@ -89,10 +89,17 @@ def _check_size(file: Path, rows: int, columns: int) -> None:
 
 def floats(values: pd.Series) -> np.ndarray:
     """(n,) a column's numbers; NaN for what is none."""
-    found = pd.to_numeric(values, errors="coerce")
-    if found.dtype == object:  # whole numbers beyond 64 bits
-        found = found.map(lambda value: float(value) if abs(value) < 1e300 else np.nan)
-    return np.array(found, dtype=float)
+    try:
+        return np.array(pd.to_numeric(values, errors="coerce"), dtype=float)
+    except OverflowError:  # a whole number of hundreds of digits
+        return np.array([_float(value) for value in values], dtype=float)
+
+
+def _float(value: Any) -> float:
+    try:
+        return float(value)
+    except (TypeError, ValueError, OverflowError):
+        return np.nan
 
 
 @contextmanager
@@ -122,6 +129,8 @@ def parquet(file: Path) -> Iterator[tuple[ParquetFile, list[str]]]:
     import pyarrow as pa
     import pyarrow.parquet as pq
 
+    pa.allocate_buffer(1)  # the library's own pool reserves a gigabyte at its first byte: here, where nothing counts
+    pa.set_memory_pool(pa.system_memory_pool())
     with readable(file), bounded(file):
         schema = pq.read_schema(file)
         plain = [field.name for field in schema if not pa.types.is_nested(field.type)]

@@ -230,9 +230,7 @@ class Store:
     def read_memo(self) -> dict[str, Any]:
         """What was found out about source files, by their digests; empty where that file is damaged."""
         sealed = _read_json(self.root / "code.json")
-        if not isinstance(sealed, dict) or sealed.get("seal") != digest(sealed.get("memo")):
-            return {}
-        return sealed["memo"]
+        return sealed["memo"] if isinstance(sealed, dict) and _fits(sealed.get("seal"), sealed.get("memo")) else {}
 
     def write_memo(self, memo: Mapping[str, Any]) -> None:
         """Keep what was found out, where it is new."""
@@ -282,8 +280,15 @@ class Store:
 def _sealed(folder: Path) -> dict[str, Any] | None:
     """A folder's manifest, if it is whole."""
     manifest = _read_json(folder / "manifest.json")
-    whole = isinstance(manifest, dict) and manifest.pop("seal", None) == digest(manifest)
+    whole = isinstance(manifest, dict) and _fits(manifest.pop("seal", None), manifest)
     return manifest if whole and _lists_files(manifest) else None
+
+
+def _fits(seal: Any, content: Any) -> bool:
+    try:
+        return seal == digest(content)
+    except (ValueError, RecursionError):  # a number that is none
+        return False
 
 
 def _lists_files(manifest: Mapping[str, Any]) -> bool:

@@ -18,6 +18,7 @@ from urdf.input_files import MAX_KEY, MAX_TOML, parse_toml, read_text
 
 ROBOTS = Path(__file__).parent / "robots"
 
+_MOST_SAMPLES = 20_000  # of a virtual stream, a pose
 _SHOWN = 12  # names, of many that are allowed
 
 _Model = TypeVar("_Model", bound=BaseModel)
@@ -178,6 +179,12 @@ class Stream(_Table):
     outliers: Annotated[float, Field(ge=0, lt=0.5)] = 0.01  # share of the samples
     outlier_deg: NotNegative = 2.0
     dropouts: Annotated[float, Field(ge=0, lt=1)] = 0.02  # share of the samples that never come
+
+    @model_validator(mode="after")
+    def _samples(self) -> Stream:
+        if self.rate_hz * self.seconds > _MOST_SAMPLES:
+            raise ValueError(f"{self.rate_hz * self.seconds:.3g} samples a pose; allowed are {_MOST_SAMPLES}")
+        return self
 
 
 class Log(_Table):
@@ -489,7 +496,7 @@ def _find(robot: str) -> Path:
     if os.path.isfile(path):
         return path.absolute()
     shipped = ROBOTS / robot / "robot.toml"
-    if "/" not in robot and shipped.is_file():
+    if "/" not in robot and os.path.isfile(shipped):
         return shipped
     names = sorted(p.parent.name for p in ROBOTS.glob("*/robot.toml"))
     raise InputError(f"robot {robot!r}: neither a file nor a shipped robot; {nearest(robot, names)}")

@@ -61,8 +61,8 @@ def parse_toml(text: str) -> dict[str, Any]:
 
 
 @contextmanager
-def bounded(file: Path, most: int = MAX_UNPACKED) -> Iterator[None]:
-    """While others' code unpacks `file`, this process may get `most` bytes of memory more; beyond: InputError.
+def bounded(file: Path) -> Iterator[None]:
+    """While others' code unpacks `file`, this process may get MAX_UNPACKED more memory; beyond: InputError.
 
     A few bytes may unpack to gigabytes, and only who unpacks them knows. On Linux alone; elsewhere there is no limit.
     """
@@ -74,12 +74,13 @@ def bounded(file: Path, most: int = MAX_UNPACKED) -> Iterator[None]:
         yield
         return
     soft, hard = resource.getrlimit(resource.RLIMIT_AS)
-    limits = [pages * resource.getpagesize() + most, *(limit for limit in (soft, hard) if limit != resource.RLIM_INFINITY)]
-    resource.setrlimit(resource.RLIMIT_AS, (min(limits), hard))
+    limits = (limit for limit in (soft, hard) if limit != resource.RLIM_INFINITY)
+    most = min((pages * resource.getpagesize() + MAX_UNPACKED, *limits))
+    resource.setrlimit(resource.RLIMIT_AS, (most, hard))
     try:
         yield
     except MemoryError:
-        raise InputError(f"{file}: it unpacks to more than {most >> 20} MB, which are allowed") from None
+        raise InputError(f"{file}: it unpacks to more than {MAX_UNPACKED >> 20} MB, which are allowed") from None
     finally:
         resource.setrlimit(resource.RLIMIT_AS, (soft, hard))
 

@@ -11,6 +11,7 @@ from scipy.constants import knot
 from pipeline.sea.rao import MODES, RaoTable
 from urdf.description import Column, listed
 from urdf.errors import InputError
+from urdf.input_files import bounded, check_file
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -18,6 +19,7 @@ if TYPE_CHECKING:
 _ANGLES = MODES[3:]
 _ODD = np.array([1, -1, 1, -1, 1, -1])  # of a ship with port like starboard, in waves from the other side
 _MSS_AXES = np.array([1, -1, -1, 1, -1, -1])  # x forward, y to starboard, z down -> x forward, y to port, z up
+_MAX_MATLAB = 64 << 20  # bytes of a file
 _WIDEST = np.deg2rad(45.0)  # between tabulated directions
 
 
@@ -91,10 +93,12 @@ def _mss(file: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """
     from scipy.io import loadmat
 
+    check_file(file, _MAX_MATLAB)
     try:
-        content = loadmat(file, squeeze_me=True, struct_as_record=False)
-    except OSError as error:
-        raise InputError(f"{file}: can't be read: {error.strerror or error}") from None
+        with bounded(file):
+            content = loadmat(file, squeeze_me=True, struct_as_record=False)
+    except InputError:
+        raise
     except Exception as error:  # of a damaged file scipy's reader raises whatever it stumbles over
         raise InputError(f"{file}: not a MATLAB file that can be read: {' '.join(str(error).split())[:200]}") from None
     try:

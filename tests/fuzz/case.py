@@ -89,7 +89,11 @@ def _read(target: Target, folder: Path) -> tuple[str, str]:
 def _where(error: BaseException) -> str:
     """The innermost line of kincal's own."""
     frames = traceback.extract_tb(error.__traceback__)
-    own = [f for f in frames if f.filename.startswith(str(ROOT)) and "/tests/" not in f.filename and "/.venv/" not in f.filename]
+    own = [
+        f
+        for f in frames
+        if f.filename.startswith(str(ROOT)) and "/tests/" not in f.filename and "/.venv/" not in f.filename
+    ]
     frame = (own or frames)[-1]
     return f"{Path(frame.filename).name}:{frame.lineno} {frame.name}"
 

@@ -104,7 +104,9 @@ def _edit_xml(root: Xml.Element, random: Random) -> None:
     element = random.choice(elements)
     parents = [e for e in elements if len(e)]
     parent = random.choice(parents) if parents else root
-    action = random.choice(("drop", "again", "move", "tag", "attribute", "attribute", "attribute", "text", "deep", "key"))
+    action = random.choice(
+        ("drop", "again", "move", "tag", "attribute", "attribute", "attribute", "text", "deep", "key")
+    )
     if action == "drop" and len(parent):
         parent.remove(random.choice(list(parent)))
     elif action == "again" and len(parent):
@@ -123,11 +125,15 @@ def _edit_xml(root: Xml.Element, random: Random) -> None:
         key = random.choice(list(element.attrib))
         value = element.attrib[key]
         if action == "key":
-            element.attrib[random.choice(("name", "type", "class", "xyz", "pos", "quat", "x"))] = element.attrib.pop(key)
+            element.attrib[random.choice(("name", "type", "class", "xyz", "pos", "quat", "x"))] = element.attrib.pop(
+                key
+            )
             return
         many = " ".join([random.choice(NUMBERS)] * random.choice((1, 2, 3, 4, 1000)))
         other = random.choice(elements).attrib.get(key, "")
-        element.attrib[key] = _clean(random.choice((*random.sample(TEXTS, 5), many, many, value * 2, value[:-1], other, "")))
+        element.attrib[key] = _clean(
+            random.choice((*random.sample(TEXTS, 5), many, many, value * 2, value[:-1], other, ""))
+        )
 
 
 def _clean(text: str) -> str:
@@ -193,7 +199,9 @@ def parquet(content: bytes, random: Random) -> bytes:
     sink = pa.BufferOutputStream()
     compression = random.choice(("snappy", "zstd", "gzip", "none"))
     version = random.choice(("1.0", "2.6"))
-    pq.write_table(found, sink, compression=compression, version=version, data_page_version=random.choice(("1.0", "2.0")))
+    pq.write_table(
+        found, sink, compression=compression, version=version, data_page_version=random.choice(("1.0", "2.0"))
+    )
     return sink.getvalue().to_pybytes()
 
 
@@ -230,7 +238,9 @@ def _edit_columns(found: Any, random: Random) -> Any:
     if action in made:
         return found.set_column(k, name, made[action]())
     if action == "rename":
-        return found.rename_columns([random.choice((*TEXTS[:30], name)) if j == k else c for j, c in enumerate(found.column_names)])
+        return found.rename_columns(
+            [random.choice((*TEXTS[:30], name)) if j == k else c for j, c in enumerate(found.column_names)]
+        )
     if action == "drop":
         return found.remove_column(k)
     if action == "again":

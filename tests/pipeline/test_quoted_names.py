@@ -101,7 +101,11 @@ RENAMED = ("leg1_slide", "leg2_slide", "leg1_tip", "platform", "leg1_rod")
 
 
 @settings(max_examples=15)
-@given(st.lists(st.one_of(st.sampled_from(NASTY), NAMES), min_size=5, max_size=5, unique_by=lambda name: " ".join(name.split())))
+@given(
+    st.lists(
+        st.one_of(st.sampled_from(NASTY), NAMES), min_size=5, max_size=5, unique_by=lambda name: " ".join(name.split())
+    )
+)
 def test_a_urdf_and_a_robot_toml_say_any_name(tmp_path_factory, names):
     names = [name.replace("\r\n", "\n") for name in names]
     text, described = renamed(dict(zip(RENAMED, names, strict=True)))
@@ -112,7 +116,9 @@ def test_a_urdf_and_a_robot_toml_say_any_name(tmp_path_factory, names):
     again = load_chain(described.mechanism, exported.text, Path("exported.urdf"))
     assert again.joint_names == chain.joint_names
     assert set(names[:2]) <= set(again.joint_names)
-    np.testing.assert_allclose(again.translation[: chain.n_joints], built.chain.translation[: chain.n_joints], atol=1e-12)
+    np.testing.assert_allclose(
+        again.translation[: chain.n_joints], built.chain.translation[: chain.n_joints], atol=1e-12
+    )
     folder = tmp_path_factory.mktemp("exported")
     gone = folder / "gone.toml"
     said = exported_toml(described, gone, folder, [f"of {names}"])
