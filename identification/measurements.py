@@ -135,9 +135,11 @@ def numbers(values: Sequence[object], column: Column, file: Path) -> np.ndarray:
     number = np.abs(found) < _LARGEST
     bad = np.flatnonzero(~number | np.array([isinstance(value, bool) for value in values], dtype=bool))
     if len(bad):
-        found_there, below = values[bad[0]], f" below {_LARGEST:g}" if np.isfinite(found[bad[0]]) else ""
+        row, allowed = bad[0], "finite numbers"
+        if np.isfinite(found[row]):
+            allowed = f"finite numbers below {_LARGEST:g}"
         raise InputError(
-            f"{file}: column {column.source!r}, row {bad[0] + 1}: found {found_there!r}; allowed are finite numbers{below}"
+            f"{file}: column {column.source!r}, row {row + 1}: found {values[row]!r}; allowed are {allowed}"
         )
     return found * UNITS[column.unit]
 

@@ -19,6 +19,7 @@ from urdf.input_files import MAX_KEY, MAX_TOML, parse_toml, read_text
 ROBOTS = Path(__file__).parent / "robots"
 
 _MOST_SAMPLES = 20_000  # of a virtual stream, a pose
+_LONG_NAME = 200  # letters: to compare such names takes long
 _SHOWN = 12  # names, of many that are allowed
 
 _Model = TypeVar("_Model", bound=BaseModel)
@@ -471,7 +472,8 @@ def _walk(annotation: Any) -> Iterable[Any]:
 def nearest(name: str, legal: Iterable[str]) -> str:
     """What to say of a name that does not exist: the nearest one, or all that do."""
     legal = list(legal)
-    close = difflib.get_close_matches(name, legal, n=1, cutoff=0.5)
+    likely = [other for other in legal if len(other) < _LONG_NAME] if len(name) < _LONG_NAME else []
+    close = difflib.get_close_matches(name, likely, n=1, cutoff=0.5)
     return f"did you mean {close[0]!r}?" if close else f"allowed: {listed(legal)}"
 
 

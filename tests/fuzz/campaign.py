@@ -15,10 +15,10 @@ from multiprocessing.connection import Connection, wait
 from pathlib import Path
 from typing import Any
 
-from tests.fuzz.case import MEGABYTES, SECONDS, Result, run, shrunk
+from tests.fuzz.case import MEGABYTES, Result, run, shrunk
 from tests.fuzz.targets import TARGETS, Target
 
-_SILENT = 3 * SECONDS  # [s] then a worker is taken for hung
+_SILENT = 90.0  # [s] then a worker is taken for hung
 _BATCH = 50  # cases
 
 

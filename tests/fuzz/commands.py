@@ -31,7 +31,7 @@ SMALL = (
 _PROGRESS = re.compile(r"^(\S+ \w+ +(running|ran|cached)\b|note: |warning: )")
 NUMBERS_OF = (  # options that want a number
     *("plan ups3_s --poses", "plan ups3_s --accuracy", "plan ups3_s --accuracy-mm", "sweep ups3_s --seeds"),
-    *("sea-trial ups3_s --minutes", "sea-trial ups3_s --rate-hz", "sea-trial ups3_s --speed", "sea-trial ups3_s --heading"),
+    *("sea-trial ups3_s --minutes", "sea-trial ups3_s --rate-hz", "sea-trial ups3_s --speed"),
     *("sea-trial ups3_s --delay-ms", "sea-trial ups3_s --bandwidth-hz", "sea-trial ups3_s --seed", "sweep ups3_s --on"),
 )  # fmt: skip
 TEXTS_OF = (
@@ -40,8 +40,8 @@ TEXTS_OF = (
     *("export ups3_s --format json --method", "export ups3_s --format", "sweep ups3_s --over", "status"),
 )  # fmt: skip
 SETTINGS_OF = (  # each far too large
-    *("plan.poses", "prior.poses", "pretrain.hidden", "siblings.hidden", "correct.shared_units", "evaluate.fresh_poses"),
-    *("siblings.count", "pretrain.iterations", "identify.max_iterations", "seed", "split.poses", "measure.stream.rate_hz"),
+    *("plan.poses", "prior.poses", "pretrain.hidden", "siblings.hidden", "correct.shared_units"),
+    *("siblings.count", "pretrain.iterations", "identify.max_iterations", "seed", "measure.stream.rate_hz"),
     *("measure.stream.seconds",),
 )  # fmt: skip
 

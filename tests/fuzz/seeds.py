@@ -111,8 +111,8 @@ def bags() -> dict[str, Files]:
 
 def _bag(kind: str) -> Files:
     from rosbags.rosbag1 import Writer as Writer1
-    from rosbags.rosbag2 import CompressionMode, StoragePlugin
     from rosbags.rosbag2 import CompressionFormat as Format2
+    from rosbags.rosbag2 import CompressionMode, StoragePlugin
     from rosbags.rosbag2 import Writer as Writer2
     from rosbags.typesys import Stores, get_typestore
 

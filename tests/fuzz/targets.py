@@ -6,7 +6,7 @@ A new format is one more entry in `TARGETS`.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass
 from functools import lru_cache, partial
 from pathlib import Path
 from random import Random
@@ -39,6 +39,7 @@ class Target:
     files: Callable[[], Sequence[Files]]  # valid ones
     read: Callable[[Path], Any]
     spoiled: tuple[str, ...] = ()  # the ends of the names of files that are spoiled; default: all
+    seconds: float = 5.0  # of computing, that a case may take
     share: float = 1.0  # of the cases, against other targets
     named: tuple[str, ...] = ()  # one of them stands in every refusal; default: the files' names
 
@@ -137,13 +138,13 @@ def _over(folder: Path) -> None:
 
 
 OVERRIDES = (
-    *("plan.poses=12", "seed=3", 'identify.estimator="ridge"', "measure.stream={rate_hz = 50.0}", "sensor.tilt_deg=0.01"),
-    *('measure.channels=["tilt", "yaw"]', "workspace.rotation_deg={x=[-1,1],y=[-2,2],z=[-1.5,3]}", "measure.table=t.csv"),
-    *('measure.columns={x={from="a", unit="mm"}}', "actuator.leg1_slide.gain=2", "identify.shrinkage=0.5", "name=other"),
+    *("plan.poses=12", "seed=3", 'identify.estimator="ridge"', "measure.stream={rate_hz=50.0}", "sensor.tilt_deg=1"),
+    *('measure.channels=["tilt"]', "workspace.rotation_deg={x=[-1,1],y=[-2,2],z=[-1.5,3]}", "measure.table=t.csv"),
+    *('measure.columns={x={from="a", unit="mm"}}', "actuator.leg1_slide.gain=2", "identify.shrinkage=0.5", "name=a"),
 )  # fmt: skip
 OVERS = (
     *("plan.poses=12,14,...,30", "seed=1,2,3", 'identify.estimator="ridge","map"', "identify.shrinkage=0.1,0.2,...,1"),
-    *('measure.channels=["tilt"],["orientation"]', "sensor.tilt_deg=1e-3,1e-2", "measure.stream={rate_hz=5.0},{rate_hz=9.0}"),
+    *('measure.channels=["tilt"],["orientation"]', "sensor.tilt_deg=1e-3,1e-2", "measure.stream={seconds=5.0},{}"),
 )  # fmt: skip
 
 
@@ -310,6 +311,10 @@ def _tables(*columns: str) -> list[Files]:
     return [{"table.csv": seeds.csv(table)}, {"table.parquet": seeds.parquet(table)}]
 
 
+def _raos() -> list[Files]:
+    return [{"rao.csv": seeds.csv(seeds.rao())}, {"rao.parquet": seeds.parquet(seeds.rao())}]
+
+
 def _all_drawings() -> list[Files]:
     return seeds.drawings() + seeds.mjcf_drawings()
 
@@ -319,13 +324,13 @@ _MECHANISM = ("robot.", "loop", "workspace", "mobility", "home", "actuated", "ba
 _COLUMNS = b'x = { from = "position_x", unit = "mm" }\nleg1_slide = "leg_length_1"\npose = "number"\n'
 
 TARGETS: tuple[Target, ...] = (
-    Target("robot.toml", seeds.robots, _described, (".toml",), 2.0, ("robot.toml",)),
+    Target("robot.toml", seeds.robots, _described, (".toml",), share=2.0, named=("robot.toml",)),
     Target("--set", partial(_texts, OVERRIDES), _override, named=("--set",)),
     Target("--over", partial(_texts, OVERS), _over, named=("--over",)),
-    Target("URDF", seeds.drawings, _drawn, (".urdf",), 2.0),
-    Target("MJCF", seeds.mjcf_drawings, _drawn, (".xml",), 2.0),
-    Target("model: TOML, URDF, MJCF", _all_drawings, _modelled, share=0.3, named=_MECHANISM),
-    Target("init: URDF, MJCF", _all_drawings, _proposed, (".urdf", ".xml"), 0.1),
+    Target("URDF", seeds.drawings, _drawn, (".urdf",), share=2.0),
+    Target("MJCF", seeds.mjcf_drawings, _drawn, (".xml",), share=2.0),
+    Target("model: TOML, URDF, MJCF", _all_drawings, _modelled, seconds=30.0, share=0.3, named=_MECHANISM),
+    Target("init: URDF, MJCF", _all_drawings, _proposed, (".urdf", ".xml"), 30.0, 0.1),
     Target("measurement table", _tables, partial(_measured, measured=True, joints=LEGS), share=2.0),
     Target("joints of predict", partial(_tables, "pose", *LEGS), partial(_measured, measured=False, joints=LEGS)),
     Target(
@@ -338,7 +343,7 @@ TARGETS: tuple[Target, ...] = (
     Target("stream with poses: csv", lambda: [{"log.csv": seeds.csv(seeds.stream(400, 8))}], _posed),
     Target("stream with poses: parquet", lambda: [{"log.parquet": seeds.parquet(seeds.stream(400, 8))}], _posed),
     Target("log and commands", _campaign_files, _campaign),
-    Target("RAO: csv, parquet", lambda: [{"rao.csv": seeds.csv(seeds.rao())}, {"rao.parquet": seeds.parquet(seeds.rao())}], _rao),
+    Target("RAO: csv, parquet", _raos, _rao),
     Target("RAO: MATLAB", lambda: [{"rao.mat": seeds.mss()}], _rao, share=0.5),
     Target("artifact", partial(_artifacts, False), partial(_stored, resealed=False), named=("store",)),
     Target("artifact, sealed again", partial(_artifacts, True), partial(_stored, resealed=True), named=("store",)),

@@ -55,8 +55,7 @@ def _long(folder: Path) -> None:
     ids=["exception", "hang", "memory", "stray file", "changed file", "no file named"],
 )
 def test_defects_are_noticed(read, said, tmp_path, monkeypatch):
-    monkeypatch.setattr("tests.fuzz.case.SECONDS", 0.5)
     monkeypatch.chdir(tmp_path)
-    result = run(Target("t", lambda: [{"file": b"content"}], read), 1, tmp_path)
+    result = run(Target("t", lambda: [{"file": b"content"}], read, seconds=0.5), 1, tmp_path)
     assert result.outcome == "defect"
     assert said in result.said

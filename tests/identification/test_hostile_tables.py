@@ -84,7 +84,7 @@ def test_rows_and_cells_have_limits(tmp_path, monkeypatch):
 @pytest.mark.parametrize("name", ["table.csv", "table.csv.gz", "table.csv.zip"])
 def test_compressed_tables_are_not_unpacked(name, tmp_path):
     file = tmp_path / name
-    file.write_bytes(gzip.compress(WHOLE.encode() + b"0" * (50 << 20)))
+    file.write_bytes(gzip.compress(WHOLE.encode() + b"0" * (5 << 20)))
     refused(lambda: table(file), name, "compressed; unpack it first")
     refused(lambda: stream(file, "csv"), name, "compressed; unpack it first")
 
@@ -147,10 +147,12 @@ def test_the_bound_leaves_room_for_a_process_that_has_just_begun(tmp_path):
     """Libraries reserve memory at their first call, which no file is to blame for."""
     columns = {name: [1.0, 2.0] for name in ("pose", "a", "x", "y", "z")}
     written(columns, tmp_path / "t.parquet")
-    read = (
-        "from pathlib import Path; from identification.table_files import load; from urdf.description import Measure; "
+    imports = (
+        "from pathlib import Path; from identification.table_files import load; from urdf.description import Measure"
     )
-    done = subprocess.run([sys.executable, "-c", read + "assert len(load(Path('t.parquet'), Measure())) == 2"], cwd=tmp_path, env=os.environ | {"PYTHONPATH": str(Path(__file__).parents[2])}, capture_output=True, text=True, timeout=60)  # fmt: skip
+    call = [sys.executable, "-c", f"{imports}; assert len(load(Path('t.parquet'), Measure())) == 2"]
+    environment = os.environ | {"PYTHONPATH": str(Path(__file__).parents[2])}
+    done = subprocess.run(call, cwd=tmp_path, env=environment, capture_output=True, text=True, timeout=60)
     assert done.returncode == 0, done.stderr
 
 

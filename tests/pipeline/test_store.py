@@ -455,9 +455,8 @@ def unpickles(source: str) -> list[str]:
                 found += [a.name for a in node.names if a.name in ("load", "save")]
         elif isinstance(node, ast.Call):
             name, of = ast.unparse(node.func).split(".")[-1], ast.unparse(node.func).split(".")[0]
-            if name in CALLS and not (name == "compile" and of == "re"):
-                found.append(ast.unparse(node.func))
-            elif (of == "torch" and name in OF_TORCH) or (of in ("np", "numpy") and name in OF_NUMPY):
+            plain = name in CALLS and not (name == "compile" and of == "re")
+            if plain or (of == "torch" and name in OF_TORCH) or (of in ("np", "numpy") and name in OF_NUMPY):
                 found.append(ast.unparse(node.func))
             found += [k.arg for k in node.keywords if k.arg in ("allow_pickle", "weights_only")]
     return found

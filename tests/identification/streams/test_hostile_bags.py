@@ -46,7 +46,10 @@ def refused(file, *said: str, **log) -> None:
         assert text in str(refusal.value)
 
 
-ENDLESS = "WITH RECURSIVE n(k) AS (SELECT 1 UNION ALL SELECT k + 1 FROM n) SELECT k AS id, 1 AS topic_id, k AS timestamp, x'00' AS data FROM n"
+ENDLESS = (
+    "WITH RECURSIVE n(k) AS (SELECT 1 UNION ALL SELECT k + 1 FROM n) "
+    "SELECT k AS id, 1 AS topic_id, k AS timestamp, x'00' AS data FROM n"
+)
 PROGRAMS = {
     "a view without end": f"alter table messages rename to old; create view messages as {ENDLESS}",
     "a computed column": "alter table messages add column more text generated always as (hex(data) || hex(data))",
