@@ -126,8 +126,6 @@ def _check_numbers(joint, name: str, file: Path) -> None:
             n, largest = (1, np.inf) if tag == "limit" else (3, MAX_NUMBER)
             if len(values) != n or not np.all(np.abs(values) < largest):
                 raise InputError(f"{file}: joint {name!r}: {tag} {attribute} is {text!r}; allowed are finite numbers")
-            if attribute == "upper" and values[0] < float(element.get("lower") or "0"):
-                raise InputError(f"{file}: joint {name!r}: limit lower is beyond upper; allowed is lower <= upper")
             if tag == "axis" and np.linalg.norm(values) < 1e-9:
                 raise InputError(f"{file}: joint {name!r}: the axis is zero; allowed is a direction")
 

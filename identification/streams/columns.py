@@ -54,7 +54,11 @@ def times(written: pd.Series, values: np.ndarray) -> np.ndarray:
     """(n,) seconds: `values`, or seconds since 1970 where the column is text in ISO 8601 (UTC unless it says else)."""
     if pd.api.types.is_numeric_dtype(written):
         return values
-    stamps = pd.to_datetime(written.astype(str), utc=True, errors="coerce", format="ISO8601")
+    try:
+        text = written.astype(str)
+    except UnicodeDecodeError:  # bytes, of Parquet
+        return values
+    stamps = pd.to_datetime(text, utc=True, errors="coerce", format="ISO8601")
     seconds = (stamps - pd.Timestamp(0, tz="UTC")).dt.total_seconds().to_numpy(float)
     return np.where(np.isfinite(values), values, seconds)
 

@@ -162,7 +162,7 @@ def _edit_rows(rows: list[list[str]], random: Random) -> None:
     if action == "cell" and column < len(rows[row]):
         rows[row][column] = random.choice((*NUMBERS, *TEXTS))
     elif action == "all":
-        value = random.choice((*NUMBERS, *TEXTS[:40]))
+        value = random.choice([v for v in (*NUMBERS, *TEXTS) if len(v) < 1000])
         for other in rows[1:]:
             other[column : column + 1] = [value]
     elif action == "drop" and len(rows) > 1:

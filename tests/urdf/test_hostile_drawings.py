@@ -162,3 +162,10 @@ def test_messages_are_one_line():
     assert said.startswith("a.csv: column '?[2J?")
     assert said.endswith("allowed is b")
     assert one_line("short, and as it is") == "short, and as it is"
+
+
+def test_limits_that_are_the_wrong_way_round(edited, checked):
+    old = '<limit lower="0.35" upper="0.65"'
+    for new in ('<limit lower="0.65" upper="0.35"', '<limit lower="0.35"'):  # what is missing is 0
+        with pytest.raises(InputError, match=r"robot\.urdf: joint 'leg1_slide': its limits are .*lower one first"):
+            checked(edited(urdf=[(old, new)]))
