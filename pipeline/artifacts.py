@@ -281,7 +281,7 @@ def _sealed(folder: Path) -> dict[str, Any] | None:
     """A folder's manifest, if it is whole."""
     manifest = _read_json(folder / "manifest.json")
     whole = isinstance(manifest, dict) and _fits(manifest.pop("seal", None), manifest)
-    return manifest if whole and _lists_files(manifest) else None
+    return manifest if whole and _well_formed(manifest) else None
 
 
 def _fits(seal: Any, content: Any) -> bool:
@@ -291,12 +291,16 @@ def _fits(seal: Any, content: Any) -> bool:
         return False
 
 
-def _lists_files(manifest: Mapping[str, Any]) -> bool:
-    """Whether a manifest says of files in its own folder what they hold."""
+def _well_formed(manifest: Mapping[str, Any]) -> bool:
+    """Whether a manifest says what its key was made of, and of files in its own folder what they hold."""
     files = manifest.get("files")
-    return isinstance(files, dict) and all(
-        name == Path(name).name and isinstance(said, dict) and {"bytes", "sha256"} <= set(said)
-        for name, said in files.items()
+    return (
+        isinstance(files, dict)
+        and isinstance(manifest.get("parts", {}), dict)
+        and all(
+            name == Path(name).name and isinstance(said, dict) and {"bytes", "sha256"} <= set(said)
+            for name, said in files.items()
+        )
     )
 
 

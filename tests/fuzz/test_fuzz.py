@@ -56,6 +56,7 @@ def _long(folder: Path) -> None:
 )
 def test_defects_are_noticed(read, said, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    result = run(Target("t", lambda: [{"file": b"content"}], read, seconds=0.5), 1, tmp_path)
+    seconds = 0.5 if read is _loop else 30.0
+    result = run(Target("t", lambda: [{"file": b"content"}], read, seconds=seconds), 1, tmp_path)
     assert result.outcome == "defect"
     assert said in result.said
