@@ -158,8 +158,9 @@ def _parquet(file: Path) -> pd.DataFrame:
 def decoded(file: Path, found: Any) -> pd.DataFrame:
     """A pyarrow table or batch with its texts written out, where that is not more than a file may have."""
     import pyarrow as pa
-    import pyarrow.compute as pc
+    from pyarrow import compute
 
+    pc: Any = compute  # its functions are made at run time
     found = pa.table(found)
     for k, field in enumerate(found.schema):
         if pa.types.is_dictionary(field.type):
