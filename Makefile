@@ -2,7 +2,7 @@
 PYTHON ?= python3
 BIN := .venv/bin
 
-.PHONY: run test install bench damage lint clean
+.PHONY: run test install bench damage fuzz lint clean
 run: .venv/installed
 	$(BIN)/kincal run ups3_s
 
@@ -17,6 +17,10 @@ bench: .venv/installed
 # What becomes of results when a store is damaged: docs/cache.md.
 damage: .venv/installed
 	$(BIN)/python -m benchmarks.damage
+
+# Hostile input, many thousand cases: docs/hostile_input.md.
+fuzz: .venv/installed
+	$(BIN)/python -m tests.fuzz --cases 20000 --commands 60
 
 lint: .venv/installed
 	$(BIN)/ruff check .

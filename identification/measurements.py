@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pandas as pd
 
+from identification.table_files import floats, load
 from urdf.actuators import Actuators
 from urdf.closed_chain import ClosedChain
-from urdf.description import Channel, Column, Measure, Sensor, Tolerance, nearest
+from urdf.description import Channel, Column, Measure, Sensor, Tolerance, listed, nearest
 from urdf.errors import InputError
 from urdf.rigid_motion import Motion, from_xyz_angles, from_zyx_angles
 
@@ -25,6 +24,7 @@ TILT = ("roll", "pitch")
 ROWS = {"orientation": 3, "tilt": 2, "yaw": 1, "position": 3}  # residuals a pose, in this order
 _GROUPS = (QUATERNION, EULER, POSITION, TILT)
 _LENGTH_TOLERANCE = 5e-3  # of a quaternion: three printed decimals
+_LARGEST = 1e15  # a number beyond is no reading; below, whole numbers are exact and squares don't overflow
 _ALLOWED = "qx, qy, qz, qw; rx, ry, rz; x, y, z; roll, pitch; yaw"
 
 
@@ -118,8 +118,8 @@ def read_table(file: Path, joints: Sequence[str], measure: Measure, measured: bo
         if column.source in raw.columns:
             columns[name] = numbers(raw[column.source].tolist(), column, file)
         elif name in measure.columns or name in joints:
-            found = ", ".join(map(str, raw.columns))
-            raise InputError(f"{file}: column {column.source!r} ({name}) is missing; it has {found}")
+            has = listed(raw.columns)
+            raise InputError(f"{file}: column {column.source!r} ({name}) is missing; it has {has}")
     _check_groups(columns, file, measured)
     _check_rows(columns, file)
     if all(c in columns for c in EULER):
@@ -129,47 +129,17 @@ def read_table(file: Path, joints: Sequence[str], measure: Measure, measured: bo
     return pd.DataFrame(columns)
 
 
-def load(file: Path, measure: Measure) -> pd.DataFrame:
-    """A CSV (with the separator and decimal sign of [measure]) or Parquet file, as it is."""
-    with readable(file):
-        if file.suffix.lower() in (".parquet", ".pq"):
-            return pd.read_parquet(file)
-        header(file, measure)
-        return pd.read_csv(file, decimal=measure.decimal, sep=measure.separator, skipinitialspace=True)
-
-
-def header(file: Path, measure: Measure) -> list[str]:
-    """The column names of a CSV file. Raises InputError where one stands there twice."""
-    options: dict[str, Any] = {"sep": measure.separator, "skipinitialspace": True}
-    names = pd.read_csv(file, header=None, nrows=1, dtype=str, **options).iloc[0].tolist()
-    repeated = [name for name in names if names.count(name) > 1]
-    if repeated:
-        raise InputError(f"{file}: column {repeated[0]!r} stands there twice; allowed is once")
-    return names
-
-
-@contextmanager
-def readable(file: Path) -> Iterator[None]:
-    """What parsers say of a file that is no table, as one InputError."""
-    try:
-        yield
-    except OSError as error:
-        raise InputError(f"{file}: can't be read: {error.strerror or error}") from None
-    except pd.errors.EmptyDataError:
-        raise InputError(f"{file}: the file is empty; a header and at least one row are needed") from None
-    except InputError:
-        raise
-    except (ValueError, UnicodeDecodeError) as error:  # pyarrow's and pandas' parsers raise kinds of ValueError
-        raise InputError(f"{file}: not a table that can be read: {' '.join(str(error).split())[:200]}") from None
-
-
 def numbers(values: Sequence[object], column: Column, file: Path) -> np.ndarray:
     """Column values as finite numbers in SI units. Raises InputError that names the row."""
-    found = np.array(pd.to_numeric(pd.Series(values), errors="coerce"), dtype=float)
-    bad = np.flatnonzero(~np.isfinite(found) | np.array([isinstance(value, bool) for value in values], dtype=bool))
+    found = floats(pd.Series(values))
+    number = np.abs(found) < _LARGEST
+    bad = np.flatnonzero(~number | np.array([isinstance(value, bool) for value in values], dtype=bool))
     if len(bad):
+        row, allowed = bad[0], "finite numbers"
+        if np.isfinite(found[row]):
+            allowed = f"finite numbers below {_LARGEST:g}"
         raise InputError(
-            f"{file}: column {column.source!r}, row {bad[0] + 1}: found {values[bad[0]]!r}; allowed are finite numbers"
+            f"{file}: column {column.source!r}, row {row + 1}: found {values[row]!r}; allowed are {allowed}"
         )
     return found * UNITS[column.unit]
 

@@ -20,6 +20,7 @@ from urdf.description import Filter
 
 _SENSORS = ((0, 1), (2,))  # an inclinometer's roll and pitch, and a heading reference: each is gated by itself
 _DIFFUSE = 10.0  # one sigma of the state before the first sample [rad]
+_FINEST = 1e-12  # [rad] of noise: less is none, and would be divided by
 
 
 @dataclass(frozen=True)
@@ -92,7 +93,7 @@ def static_attitudes(
     left = len(counts) - np.searchsorted(counts[::-1], np.arange(counts[0]), side="right")  # poses with a j-th sample
     drifts = _drift(settings) * np.diff(t, prepend=t[:1])
     drifts[starts] = 0.0
-    noise, gates = sigma**2, _gates(k, settings)
+    noise, gates = np.maximum(sigma, _FINEST) ** 2, _gates(k, settings)
     window = _centres(samples, starts, np.minimum(counts, settings.window))
     x, variance = samples[starts], np.full((len(counts), k), _DIFFUSE**2)
     used, squares, judged = np.zeros(len(counts), dtype=np.int64), np.zeros(k), np.zeros(k, dtype=np.int64)

@@ -299,9 +299,7 @@ class Store:
     def read_memo(self) -> dict[str, Any]:
         """What was found out about source files, by their digests; empty where that file is damaged."""
         sealed = read_json(self.root / "code.json")
-        if not isinstance(sealed, dict) or sealed.get("seal") != digest(sealed.get("memo")):
-            return {}
-        return sealed["memo"]
+        return sealed["memo"] if isinstance(sealed, dict) and _fits(sealed.get("seal"), sealed.get("memo")) else {}
 
     def write_memo(self, memo: Mapping[str, Any]) -> None:
         """Keep what was found out, where it is new."""
@@ -383,8 +381,28 @@ def lock_folder(folder: Path, wait: bool = True) -> int:
 def _sealed(text: bytes | None) -> dict[str, Any] | None:
     """A manifest, if it is whole."""
     manifest = _parsed(text)
-    whole = isinstance(manifest, dict) and manifest.pop("seal", None) == digest(manifest)
-    return manifest if whole else None
+    whole = isinstance(manifest, dict) and _fits(manifest.pop("seal", None), manifest)
+    return manifest if whole and _well_formed(manifest) else None
+
+
+def _fits(seal: Any, content: Any) -> bool:
+    try:
+        return seal == digest(content)
+    except (ValueError, RecursionError):  # a number that is none
+        return False
+
+
+def _well_formed(manifest: Mapping[str, Any]) -> bool:
+    """Whether a manifest says what its key was made of, and of files in its own folder what they hold."""
+    files = manifest.get("files")
+    return (
+        isinstance(files, dict)
+        and isinstance(manifest.get("parts", {}), dict)
+        and all(
+            name == Path(name).name and isinstance(said, dict) and {"bytes", "sha256"} <= set(said)
+            for name, said in files.items()
+        )
+    )
 
 
 def read_json(file: Path) -> Any:

@@ -15,7 +15,7 @@ from pipeline import sea_commands, store_commands, study_commands
 from pipeline.console import err, out, print_json, print_table, short, show_comparison, show_inspection, show_table
 from pipeline.fleet_commands import compare_fleet, run_fleet
 from pipeline.options import COMMON, All, Common, Flag, From, Json, JsonInstead, On, Robot, opened
-from urdf.errors import CalibrationError, InputError
+from urdf.errors import CalibrationError, InputError, one_line
 
 if TYPE_CHECKING:
     from pipeline.results import Comparison
@@ -292,7 +292,7 @@ def _status(call: Callable[[], Any]) -> int:
 
 
 def _say(message: str, code: int) -> int:
-    err.print(Text("kincal: " + " ".join(message.split())), soft_wrap=True)
+    err.print(Text("kincal: " + one_line(message)), soft_wrap=True)
     return code
 
 

@@ -4,14 +4,20 @@ from __future__ import annotations
 
 import io
 import re
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
 from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
 
+from urdf.errors import one_line
+
 STYLE: Any = {"svg.hashsalt": "kincal", "svg.fonttype": "none", "font.size": 9, "font.family": "sans-serif"}
 BLUE, RED, GREY = "#1f5fa8", "#b3261e", "#767676"
+_LONGEST = 36  # letters of a name
 COLOURS = {
     "nominal": GREY,
     "geometric": BLUE,
@@ -24,8 +30,23 @@ COLOURS = {
 
 def svg(figure: Figure) -> str:
     buffer = io.StringIO()
-    FigureCanvasSVG(figure).print_svg(buffer, metadata={"Date": None, "Creator": None})
+    with any_letters():
+        FigureCanvasSVG(figure).print_svg(buffer, metadata={"Date": None, "Creator": None})
     return buffer.getvalue()
+
+
+def label(name: str) -> str:
+    """A name, whatever stands in it, for a figure; to be drawn with parse_math=False: it is no formula."""
+    name = one_line(name)
+    return name if len(name) <= _LONGEST else f"{name[: _LONGEST - 3]}..."
+
+
+@contextmanager
+def any_letters() -> Iterator[None]:
+    """Without a warning for each letter that matplotlib's own font has not got: who looks at the figure has others."""
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", message="Glyph .* missing")
+        yield
 
 
 def inline(document: str, name: str = "") -> str:

@@ -13,6 +13,7 @@ from math import prod
 from typing import Any
 
 from urdf.errors import InputError
+from urdf.input_files import parse_toml
 
 MOST_JOBS = 10_000
 _LARGEST = 15  # power of ten of a number in a progression
@@ -84,16 +85,14 @@ def toml_value(text: str) -> Any:
     Raises InputError where nothing can read it.
     """
     try:
-        value = tomllib.loads(f"value = {text}")["value"]
+        value = parse_toml(f"value = {text}")["value"]
         json.dumps(value, allow_nan=False)
     except (tomllib.TOMLDecodeError, TypeError):
         return text
     except ValueError as error:
         if "JSON" in str(error):  # inf, nan
             return text
-        raise InputError(f"--over {text[:20]}...: {error}") from None  # too many digits
-    except RecursionError:
-        raise InputError(f"--over {text[:20]}...: nested too deeply") from None
+        raise InputError(f"--over {text[:20]}...: {error}") from None  # too many digits, or nested too deeply
     return text if isinstance(value, int) and abs(value) >= _INTEGERS else value
 
 

@@ -10,7 +10,7 @@ from matplotlib import rc_context
 from matplotlib.figure import Figure
 
 from identification.identification import Identification
-from pipeline.figures import BLUE, GREY, RED, STYLE, clean
+from pipeline.figures import BLUE, GREY, RED, STYLE, any_letters, clean, label
 from pipeline.writing import refusing
 from urdf.errors import InputError
 
@@ -30,7 +30,7 @@ def draw(found: Identification, file: Path, before: bool) -> None:
         shares(found, panels[1], names=before)
         if not before:
             changes(found, panels[2])
-        with refusing(f"--plot {file}"):
+        with refusing(f"--plot {file}"), any_letters():
             figure.savefig(file, dpi=130)
 
 
@@ -72,7 +72,8 @@ def changes(found: Identification, axes: Any) -> None:
 
 
 def _named(axes: Any, names: tuple[str, ...]) -> None:
-    axes.set_xticks(np.arange(len(names)), names, rotation=90, fontsize=5)
+    shown = [label(name) for name in names]
+    axes.set_xticks(np.arange(len(names)), shown, rotation=90, fontsize=5, parse_math=False)
     if not names:
         axes.tick_params(bottom=False)
     clean(axes, "y")

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -89,7 +90,8 @@ def predicted_table(session: Run, file: Path, method: str) -> pd.DataFrame:
     chosen = calibrated.methods()[method]
     table = _read(session, model, file, None, measured=False)
     readings = table[list(model.chain.actuated_names)].to_numpy(float)
-    pose = chosen.predict(readings)
+    with _said_of(file):
+        pose = chosen.predict(readings)
     r = pose.rotation
     turned = moved = None
     if calibrated.corrected is not None:
@@ -161,6 +163,15 @@ def _desired(
     return pose, known if Goal.of(robot, pose, known).decided() else measured, wanted.pose
 
 
+@contextmanager
+def _said_of(file: Path) -> Iterator[None]:
+    """What can't be done with a table's rows is said of its file."""
+    try:
+        yield
+    except InputError as error:
+        raise error if str(file) in str(error) else InputError(f"{file}: {error}") from None
+
+
 def evaluated(session: Run, file: Path, columns: Path | None, *, register: bool, rehome: bool) -> Comparison:
     """The shipped methods against the measurement table `file`.
 
@@ -173,7 +184,8 @@ def evaluated(session: Run, file: Path, columns: Path | None, *, register: bool,
     measured = to_measurements(table, model.chain.actuated_names, session.robot.description.sensor)
     methods = dict(calibrated.methods())
     if register or rehome:
-        methods = {name: refitted(method, measured, register, rehome) for name, method in methods.items()}
+        with _said_of(file):
+            methods = {name: refitted(method, measured, register, rehome) for name, method in methods.items()}
     actual, channels = measured.as_poses(), measured.channels
     return Comparison(
         robot=session.robot.description.name,

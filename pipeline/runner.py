@@ -21,6 +21,7 @@ from pipeline.fingerprint import Code
 from pipeline.results import Report
 from urdf.description import PATHS, Robot
 from urdf.errors import CalibrationError, InputError
+from urdf.input_files import check_file
 
 _ATTEMPTS = 4  # to read a result that others damage or free meanwhile
 _LONGEST = 100  # letters of a changed value that are shown
@@ -301,6 +302,7 @@ def file_digest(file: Path) -> str:
     try:
         if file.is_dir():
             return digest({part.name: file_digest(part) for part in sorted(file.iterdir()) if part.is_file()})
+        check_file(file)
         with open(file, "rb") as stream:
             return hashlib.file_digest(stream, "sha256").hexdigest()
     except OSError as error:

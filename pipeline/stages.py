@@ -61,7 +61,7 @@ if TYPE_CHECKING:
 def model(mechanism: Mechanism, urdf: Path) -> Model:
     """URDF or MJCF and loop closures -> a checked closed chain with its home configuration."""
     from urdf.assembly import assembled
-    from urdf.drawing import read_text
+    from urdf.input_files import read_text
 
     text = read_text(urdf)
     chain, report = assembled(mechanism, text, urdf)

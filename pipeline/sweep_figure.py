@@ -10,6 +10,7 @@ from matplotlib.figure import Figure
 
 from pipeline.figures import STYLE, clean, quartile_line, svg
 from pipeline.sweep import UNITS, Swept, measured_units, medians
+from urdf.errors import one_line
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -31,7 +32,8 @@ def drawing(swept: Swept, key: str) -> str:
         for line, (values, part) in zip(panels, shown, strict=True):
             for axes, mean in zip(line, units, strict=True):
                 _draw(part, key, mean, axes)
-                axes.set_title(", ".join(f"{k} = {v}" for k, v in zip(others, values, strict=True)), fontsize=9)
+                what = ", ".join(f"{k} = {v}" for k, v in zip(others, values, strict=True))
+                axes.set_title(one_line(what), fontsize=9, parse_math=False)
         for axes in panels[-1]:
             axes.set_xlabel(key)
         figure.legend(*panels[0][0].get_legend_handles_labels(), loc="outside lower center", ncols=6, frameon=False)

@@ -19,11 +19,13 @@ from pipeline import virtual_errors as terms
 from pipeline.results import Truth
 from pipeline.virtual_errors import Circumstances
 from urdf.description import Sensor, Stream, VirtualErrors
+from urdf.errors import InputError
 from urdf.kinematics import Closure, forward, passive_rates, tool_point_jacobian
 from urdf.rigid_motion import Motion, exp
 
 STANDING = np.array([0.0, 0.0, g])  # the specific force where nothing moves [m/s2]
 _SETTLING = 3  # iterations of load and deflection; each gains some four digits
+_MOST_SAMPLES = 5_000_000  # of a stream: a gigabyte
 
 
 def draw(model: ErrorModel, errors: VirtualErrors, seed: int) -> Truth:
@@ -135,6 +137,10 @@ def stream_of(
     random = np.random.default_rng([seed, 10])
     n, per_pose = len(pose.translation), max(1, round(stream.rate_hz * stream.seconds))
     count = n * per_pose
+    if count > _MOST_SAMPLES:
+        raise InputError(
+            f"measure.stream: {count} samples of {n} poses; allowed are {_MOST_SAMPLES}: lower rate_hz or seconds"
+        )
     read = terms.read_angles(np.repeat(pose.rotation, per_pose, axis=0), cross_axis)
     columns = {"t": np.arange(count) / stream.rate_hz, "pose": np.repeat(np.arange(n), per_pose)}
     outlier = {"tilt": random.random(count) < stream.outliers, "yaw": random.random(count) < stream.outliers}

@@ -140,6 +140,9 @@ def load_chain(mechanism: Mechanism, text: str, file: Path) -> ClosedChain:
         raise InputError(f"base_frame: {mechanism.base_frame!r} moves with joint {names[base[0]]!r}; allowed is fixed")
     tool = _frame(model, mechanism.tool_frame, "tool_frame", file)
     lower, upper = _limits(model)
+    for j in np.flatnonzero(lower > upper):
+        found = f"[{lower[j]:.6g}, {upper[j]:.6g}]"
+        raise InputError(f"{file}: joint {names[j]!r}: its limits are {found}; allowed is the lower one first")
     drawn = drawing.configuration
     placements = [Motion(m.rotation.copy(), m.translation.copy()) for m in list(model.jointPlacements)[1:]]
     loops = []

@@ -6,18 +6,24 @@ import copy
 import difflib
 import json
 import math
-import tomllib
+import os
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
+from itertools import islice
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar, get_args
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
 
 from urdf.errors import InputError
+from urdf.input_files import MAX_KEY, MAX_TOML, parse_toml, read_text
 
 ROBOTS = Path(__file__).parent / "robots"
+
+_MOST_SAMPLES = 20_000  # of a virtual stream, a pose
+_LONG_NAME = 200  # letters: to compare such names takes long
+_SHOWN = 12  # names, of many that are allowed
 
 _Model = TypeVar("_Model", bound=BaseModel)
 
@@ -178,6 +184,12 @@ class Stream(_Table):
     outliers: Annotated[float, Field(ge=0, lt=0.5)] = 0.01  # share of the samples
     outlier_deg: NotNegative = 2.0
     dropouts: Annotated[float, Field(ge=0, lt=1)] = 0.02  # share of the samples that never come
+
+    @model_validator(mode="after")
+    def _samples(self) -> Stream:
+        if self.rate_hz * self.seconds > _MOST_SAMPLES:
+            raise ValueError(f"{self.rate_hz * self.seconds:.3g} samples a pose; allowed are {_MOST_SAMPLES}")
+        return self
 
 
 class Log(_Table):
@@ -446,6 +458,8 @@ def validate(
             shared = min(len(loc), len(keys)) if first["type"] == "extra_forbidden" else len(keys)
             if shared and loc[:shared] == keys[:shared]:
                 where = text
+            elif first["type"] == "value_error" and loc == keys[: len(loc)]:  # of the whole table
+                where = f"{where} with {text}"
         field = ".".join(loc)
         raise InputError(f"{where}: {field + ': ' if field else ''}{_explain(first, model)}") from None
 
@@ -480,28 +494,34 @@ def _walk(annotation: Any) -> Iterable[Any]:
 def nearest(name: str, legal: Iterable[str]) -> str:
     """What to say of a name that does not exist: the nearest one, or all that do."""
     legal = list(legal)
-    close = difflib.get_close_matches(name, legal, n=1, cutoff=0.5)
-    return (
-        f"did you mean {close[0]!r}?"
-        if close
-        else f"allowed: {', '.join(legal[:12])}{', ...' if len(legal) > 12 else ''}"
-    )
+    likely = [other for other in legal if len(other) < _LONG_NAME] if len(name) < _LONG_NAME else []
+    close = difflib.get_close_matches(name, likely, n=1, cutoff=0.5)
+    return f"did you mean {close[0]!r}?" if close else f"allowed: {listed(legal)}"
+
+
+def listed(names: Iterable[Any]) -> str:
+    """The first of them; whoever reads it wants no page."""
+    shown = [str(name) for name in islice(names, _SHOWN + 1)]
+    return ", ".join(shown[:_SHOWN]) + (", ..." if len(shown) > _SHOWN else "")
 
 
 def _shorten(value: Any) -> str:
-    text = repr(value)
+    try:
+        text = repr(value)
+    except ValueError:
+        return "a number of thousands of digits"
     return text if len(text) <= 60 else text[:57] + "..."
 
 
 def find_robot(robot: str) -> Path:
     """The robot.toml of a shipped robot's name, or of a path. Raises InputError."""
     path = Path(robot)
-    if path.is_dir() and (path / "robot.toml").is_file():
+    if os.path.isfile(path / "robot.toml"):  # unlike Path.is_file, quiet where a folder may not be looked into
         return (path / "robot.toml").absolute()
-    if path.is_file():
+    if os.path.isfile(path):
         return path.absolute()
     shipped = ROBOTS / robot / "robot.toml"
-    if "/" not in robot and shipped.is_file():
+    if "/" not in robot and os.path.isfile(shipped):
         return shipped
     names = sorted(p.parent.name for p in ROBOTS.glob("*/robot.toml"))
     raise InputError(f"robot {robot!r}: neither a file nor a shipped robot; {nearest(robot, names)}")
@@ -509,33 +529,28 @@ def find_robot(robot: str) -> Path:
 
 def read_toml(file: Path) -> dict[str, Any]:
     """Raises InputError."""
-    return parse_toml(toml_text(file), str(file))
+    return toml_of(toml_text(file), str(file))
 
 
 def toml_text(file: Path) -> str:
     """Raises InputError."""
-    try:
-        return file.read_text(encoding="utf-8")
-    except UnicodeDecodeError:
-        raise InputError(f"{file}: not UTF-8 text") from None
-    except OSError as error:
-        raise InputError(f"{file}: can't be read: {error.strerror}") from None
+    return read_text(file, MAX_TOML)
 
 
-def parse_toml(text: str, where: str) -> dict[str, Any]:
+def toml_of(text: str, where: str) -> dict[str, Any]:
     """Raises InputError."""
     try:
         return copy.deepcopy(_parsed(text))
     except ValueError as error:  # also an integer of thousands of digits
         raise InputError(f"{where}: not valid TOML: {error}") from None
-    except RecursionError:
-        raise InputError(f"{where}: nested too deeply") from None
+    except RecursionError:  # not too deep to parse, but to copy
+        raise InputError(f"{where}: not valid TOML: nested too deeply") from None
 
 
 @lru_cache(maxsize=8)
 def _parsed(text: str) -> dict[str, Any]:
     """The units of a fleet share their drawing."""
-    return tomllib.loads(text)
+    return parse_toml(text)
 
 
 def _resolve_paths(content: dict[str, Any], folder: Path) -> None:
@@ -553,9 +568,13 @@ def parse_override(text: str) -> Setting:
     if not equals or not key.strip():
         raise InputError(f"--set {text}: allowed is table.key=value")
     keys = tuple(part.strip() for part in key.split("."))
+    if not text.isascii() and any(0xD800 <= ord(c) < 0xE000 for c in text):
+        raise InputError(f"--set {text}: not UTF-8 text")
+    if len(keys) > MAX_KEY:
+        raise InputError(f"--set {text}: a key of {len(keys)} parts; allowed are {MAX_KEY}")
     try:
-        value = tomllib.loads(f"value = {written}")["value"]
-    except (ValueError, RecursionError):  # a bare word, or what no field allows
+        value = parse_toml(f"value = {written}")["value"]
+    except ValueError:  # a bare word, or what no field allows
         value = written.strip()
     return Setting(keys, relative_to(Path.cwd(), keys, value), f"--set {text}")
 

@@ -14,6 +14,7 @@ from urdf.errors import InputError
 from urdf.rigid_motion import Motion
 
 MAX_JOINTS = 500
+MAX_NUMBER = 1e9  # of a placement or a direction [m, rad]: more is a slip, and its squares must not overflow
 BASE = -1  # the parent of a joint that hangs on the base
 
 
@@ -37,15 +38,6 @@ class Drawing:
     root: str  # the frame that everything hangs on
     loops: tuple[DrawnLoop, ...] = ()  # of an MJCF's <equality>; a URDF has none
     driven: tuple[str, ...] = ()  # joints that an MJCF's <actuator> moves
-
-
-def read_text(file: Path) -> str:
-    try:
-        return file.read_text(encoding="utf-8")
-    except UnicodeDecodeError:
-        raise InputError(f"{file}: not UTF-8 text") from None
-    except OSError as error:
-        raise InputError(f"{file}: can't be read: {error.strerror}") from None
 
 
 def parse(text: str, file: Path):

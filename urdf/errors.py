@@ -1,9 +1,25 @@
 """The two ways in which kincal says no."""
 
+_LONGEST = 1000  # letters of a message: what was found may be a whole file
+
 
 class InputError(ValueError):
     """Bad input: one line that names the file, the field, what was found and what is allowed (exit status 2)."""
 
+    def __init__(self, message: str) -> None:
+        super().__init__(one_line(message))
+
 
 class CalibrationError(RuntimeError):
     """The calibration failed its own checks; nothing is exported (exit status 1)."""
+
+    def __init__(self, message: str) -> None:
+        super().__init__(one_line(message))
+
+
+def one_line(message: str) -> str:
+    """As a terminal may show it, whatever names and values a file holds: no control characters, the middle cut out."""
+    if len(message) > 10 * _LONGEST:
+        message = message[: 5 * _LONGEST] + message[-5 * _LONGEST :]
+    shown = "".join(c if c.isprintable() else "?" for c in " ".join(message.split()))
+    return shown if len(shown) <= _LONGEST else f"{shown[: 3 * _LONGEST // 4]} ... {shown[-_LONGEST // 4 :]}"

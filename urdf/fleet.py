@@ -29,9 +29,9 @@ from urdf.description import (
     load_robot,
     nearest,
     parse_override,
-    parse_toml,
     read_toml,
     relative_to,
+    toml_of,
     toml_text,
     validate,
 )
@@ -153,7 +153,7 @@ def _leaves(table: Mapping[str, Any], said: str, before: tuple[str, ...] = ()) -
 
 @lru_cache(maxsize=4)
 def _fleet(text: str, where: str) -> Fleet:
-    return validate(Fleet, parse_toml(text, where), where)
+    return validate(Fleet, toml_of(text, where), where)
 
 
 @lru_cache(maxsize=4)

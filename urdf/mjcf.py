@@ -30,6 +30,7 @@ _NOT_READ = {
     "flexcomp": "leave what is soft out",
 }
 _JOINTS = ("joint", "freejoint")
+_COUNTED = ("body", "frame", "joint", "freejoint", "site", "default")
 _IDENTITY = Motion.identity()
 
 
@@ -67,9 +68,10 @@ def read_mjcf(root, file: Path) -> Drawing:
             raise InputError(f"{file}: <{tag}> is not read; {advice}")
     if root.find("worldbody") is None:
         raise InputError(f"{file}: <mujoco> without <worldbody>: there is no robot")
-    count = sum(1 for tag in ("body", "frame", "joint", "default") for _ in root.iter(tag))
+    equalities = sum(len(equality) for equality in root.findall("equality"))
+    count = equalities + sum(1 for tag in _COUNTED for _ in root.iter(tag))
     if count > 4 * MAX_JOINTS:
-        raise InputError(f"{file}: {count} bodies, frames, joints and defaults; allowed are {4 * MAX_JOINTS}")
+        raise InputError(f"{file}: {count} {', '.join(_COUNTED)} and equality elements; allowed are {4 * MAX_JOINTS}")
     tree = _Tree(MjcfText.of(root, file))
     tree.grow(root)
     loops = _loops(root, tree)

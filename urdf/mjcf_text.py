@@ -9,9 +9,11 @@ from pathlib import Path
 import numpy as np
 
 from urdf.description import nearest
+from urdf.drawing import MAX_NUMBER
 from urdf.errors import InputError
 from urdf.rigid_motion import Motion, exp
 
+_DEEPEST = 100  # classes around a class
 _ORIENTATIONS = {"quat": 4, "axisangle": 4, "euler": 3, "xyaxes": 6, "zaxis": 3}
 
 Attributes = Mapping[str, str]
@@ -47,8 +49,10 @@ class MjcfText:
             text._add_class(default, "main")
         return text
 
-    def _add_class(self, default, name: str) -> None:
+    def _add_class(self, default, name: str, depth: int = 0) -> None:
         """Read a class and those inside it; each starts as a copy of the one around it."""
+        if depth > _DEEPEST:
+            raise InputError(f"{self.file}: default: classes inside {depth} others; allowed are {_DEEPEST}")
         own = self.classes[name]
         for element in default:
             if element.tag != "default":
@@ -59,7 +63,7 @@ class MjcfText:
                 what = "a class without a name" if not inner_name else f"two classes are called {inner_name!r}"
                 raise InputError(f"{self.file}: default: {what}; every class needs a name of its own")
             self.classes[inner_name] = {tag: dict(attributes) for tag, attributes in own.items()}
-            self._add_class(inner, inner_name)
+            self._add_class(inner, inner_name, depth + 1)
 
     def attributes(self, element, childclass: str = "main", tag: str | None = None) -> Attributes:
         """An element's attributes, with those of its class where it says nothing."""
@@ -75,7 +79,7 @@ class MjcfText:
             values = np.array([float(part) for part in text.split()])
         except ValueError:
             values = np.zeros(0)
-        if len(values) != n or not np.all(np.isfinite(values)):
+        if len(values) != n or not np.all(np.abs(values) < (MAX_NUMBER if key != "range" else np.inf)):
             numbers = "one finite number" if n == 1 else f"{n} finite numbers"
             raise InputError(f"{self.file}: {what}: {key} is {text!r}; allowed: {numbers}")
         return values

@@ -15,8 +15,9 @@ import numpy as np
 from urdf.assembly import assembled, home_pose
 from urdf.closed_chain import BASE, ClosedChain, load_chain, load_drawing
 from urdf.description import Mechanism, Workspace
-from urdf.drawing import Drawing, read_text
+from urdf.drawing import Drawing
 from urdf.errors import InputError
+from urdf.input_files import read_text
 from urdf.kinematics import at_home, loop_jacobian, tool_jacobian, tool_pose, tree
 from urdf.proposed_loops import (
     TOLERANCES,

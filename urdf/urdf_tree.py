@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import os
+import sys
+import tempfile
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
+from typing import IO
 
 import numpy as np
 import pinocchio as pin  # pyright: ignore[reportMissingImports] - a wheel without stubs
 
 from urdf.description import nearest
-from urdf.drawing import MAX_JOINTS, Drawing
+from urdf.drawing import MAX_JOINTS, MAX_NUMBER, Drawing
 from urdf.errors import InputError
 
 JOINT_TYPES = ("revolute", "continuous", "prismatic", "fixed")
@@ -21,11 +26,33 @@ def read_urdf(root, text: str, file: Path) -> Drawing:
     Raises InputError for a URDF that is no tree, and for what pinocchio can't read.
     """
     link = _check_tree(root, file)
-    try:
-        model = pin.buildModelFromXML(text)
-    except (ValueError, RuntimeError) as error:
-        raise InputError(f"{file}: not a URDF that pinocchio can read: {_one_line(error)}") from None
+    with _stderr() as said:
+        try:
+            model = pin.buildModelFromXML(text)
+        except (ValueError, RuntimeError) as error:
+            why = _first_line(said) or str(error)
+            raise InputError(f"{file}: not a URDF that pinocchio can read: {why}") from None
     return Drawing(model, np.zeros(model.njoints - 1), link)
+
+
+@contextmanager
+def _stderr() -> Iterator[IO[bytes]]:
+    """What the URDF parser below pinocchio prints; it has no other way to say what it misses."""
+    with tempfile.TemporaryFile() as said:
+        sys.stderr.flush()
+        kept = os.dup(2)
+        os.dup2(said.fileno(), 2)
+        try:
+            yield said
+        finally:
+            os.dup2(kept, 2)
+            os.close(kept)
+
+
+def _first_line(said: IO[bytes]) -> str:
+    said.seek(0)
+    first = said.read(2000).decode(errors="replace").partition("\n")[0]
+    return first.removeprefix("Error:").strip()
 
 
 def _check_tree(root, file: Path) -> str:
@@ -39,6 +66,8 @@ def _check_tree(root, file: Path) -> str:
         joints[name] = joint
     if len(joints) > MAX_JOINTS:
         raise InputError(f"{file}: {len(joints)} joints; allowed are {MAX_JOINTS}")
+    if len(links) > MAX_JOINTS + 1:
+        raise InputError(f"{file}: {len(links)} links; allowed are {MAX_JOINTS + 1}")
     for name in links:
         if links.count(name) > 1:
             raise InputError(f"{file}: two links are called {name!r}; their names must differ")
@@ -94,7 +123,8 @@ def _check_numbers(joint, name: str, file: Path) -> None:
                 values = [float(part) for part in text.split()]
             except ValueError:
                 values = []
-            if len(values) != (1 if tag == "limit" else 3) or not np.all(np.isfinite(values)):
+            n, largest = (1, np.inf) if tag == "limit" else (3, MAX_NUMBER)
+            if len(values) != n or not np.all(np.abs(values) < largest):
                 raise InputError(f"{file}: joint {name!r}: {tag} {attribute} is {text!r}; allowed are finite numbers")
             if tag == "axis" and np.linalg.norm(values) < 1e-9:
                 raise InputError(f"{file}: joint {name!r}: the axis is zero; allowed is a direction")
@@ -105,7 +135,3 @@ def _attribute(element, key: str, file: Path, what: str) -> str:
     if not value:
         raise InputError(f"{file}: {what} without {key!r}")
     return value
-
-
-def _one_line(error: Exception) -> str:
-    return " ".join(str(error).split())[:200]

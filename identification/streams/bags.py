@@ -7,7 +7,8 @@ otherwise.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -15,9 +16,11 @@ import numpy as np
 import pandas as pd
 
 from identification.measurements import UNITS
+from identification.streams.bag_files import check_bag
 from identification.streams.health import Tally
 from urdf.description import Column, Measure
 from urdf.errors import InputError
+from urdf.input_files import bounded, bounded_each
 
 IMU, VECTOR = "sensor_msgs/msg/Imu", "geometry_msgs/msg/Vector3Stamped"
 _ROWS = 5_000  # messages a chunk
@@ -28,31 +31,70 @@ def logged(file: Path, measure: Measure, tally: Tally) -> Iterator[pd.DataFrame]
 
     Raises InputError for a bag that can't be opened, and where no topic or more than one fits.
     """
-    from rosbags.highlevel import AnyReader
-    from rosbags.typesys import Stores, get_typestore
-
     # a damaged bag makes its reader fail in any way: struct, key, yaml, sqlite and memory errors were all seen
     try:
-        reader = AnyReader([file], default_typestore=get_typestore(Stores.ROS2_HUMBLE))
-        reader.open()
+        check_bag(file)
+        with bounded(file):
+            reader, types = _opened(file)
+    except InputError:
+        raise
     except Exception as error:
         raise InputError(f"{file}: not a bag that can be read: {_first_line(error)}") from None
     try:
         kind, connections = _topic(file, reader.connections, measure.log.topic)
-        row, chunk = (_imu_row, _imu_chunk) if kind == IMU else (_vector_row, _vector_chunk(file, measure))
-        rows: list[tuple[float, ...]] = []
-        for rawdata, recorded in _messages(reader, connections, tally):
-            try:
-                rows.append(row(reader.deserialize(rawdata, kind), recorded))
-            except Exception:
-                tally.garbage += 1
-            if len(rows) >= _ROWS:
-                yield chunk(np.array(rows))
-                rows = []
-        if rows:
+        _check_type(file, kind, connections, types)
+        chunk = _imu_chunk if kind == IMU else _vector_chunk(file, measure)
+        for rows in bounded_each(file, _rows(_messages(reader, connections, tally), kind, types, tally)):
             yield chunk(np.array(rows))
     finally:
         reader.close()
+
+
+def _opened(file: Path) -> tuple[Any, Types]:
+    """A reader, and the types by which its messages are decoded: ROS's own, since a file's may be anything."""
+    from rosbags.rosbag1 import Reader as Reader1
+    from rosbags.rosbag2 import Reader as Reader2
+    from rosbags.typesys import Stores, get_typestore
+
+    ros1 = file.suffix == ".bag"
+    store = get_typestore(Stores.ROS1_NOETIC if ros1 else Stores.ROS2_HUMBLE)
+    reader: Any = Reader1(file) if ros1 else Reader2(file)
+    reader.open()
+    if ros1:
+        return reader, Types(store.deserialize_ros1, lambda kind: store.generate_msgdef(kind)[1])
+    return reader, Types(store.deserialize_cdr, store.hash_rihs01)
+
+
+@dataclass(frozen=True)
+class Types:
+    """ROS's own messages: (raw, type) -> message, and a type's digest."""
+
+    deserialize: Callable[[bytes, str], Any]
+    digest: Callable[[str], str]
+
+
+def _check_type(file: Path, kind: str, connections: list[Any], types: Types) -> None:
+    other = next((c.digest for c in connections if c.digest not in ("", types.digest(kind))), None)
+    if other is not None:
+        raise InputError(f"{file}: its {kind} is another type than ROS's own: {other}; allowed is {types.digest(kind)}")
+
+
+def _rows(
+    messages: Iterable[tuple[bytes, float]], kind: str, types: Types, tally: Tally
+) -> Iterator[list[tuple[float, ...]]]:
+    """Rows of many messages at a time."""
+    row = _imu_row if kind == IMU else _vector_row
+    rows: list[tuple[float, ...]] = []
+    for rawdata, recorded in messages:
+        try:
+            rows.append(row(types.deserialize(rawdata, kind), recorded))
+        except Exception:
+            tally.garbage += 1
+        if len(rows) >= _ROWS:
+            yield rows
+            rows = []
+    if rows:
+        yield rows
 
 
 def _messages(reader: Any, connections: list[Any], tally: Tally) -> Iterator[tuple[bytes, float]]:
@@ -61,13 +103,14 @@ def _messages(reader: Any, connections: list[Any], tally: Tally) -> Iterator[tup
     while True:
         try:
             _, nanoseconds, rawdata = next(messages)
+            seconds = float(nanoseconds) * 1e-9
         except StopIteration:
             return
         except Exception:
             tally.read, tally.garbage = tally.read + 1, tally.garbage + 1
             return
         tally.read += 1
-        yield rawdata, nanoseconds * 1e-9
+        yield rawdata, seconds
 
 
 def _topic(file: Path, connections: list[Any], wanted: str | None) -> tuple[str, list[Any]]:

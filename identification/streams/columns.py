@@ -10,7 +10,8 @@ import numpy as np
 import pandas as pd
 
 from identification.measurements import UNITS
-from urdf.description import Column, Measure
+from identification.table_files import floats
+from urdf.description import Column, Measure, listed
 from urdf.errors import InputError
 
 REQUIRED = ("t", "roll", "pitch")
@@ -33,7 +34,7 @@ def mapped(found: Sequence[str], measure: Measure, file: Path, by_pose: bool) ->
             columns[name] = column
         elif name in needed:
             hint = "; a command log (measure.commands) does without" if name == "pose" else ""
-            has = ", ".join(map(str, found))
+            has = listed(found)
             raise InputError(f"{file}: column {column.source!r} is missing from the stream; it has {has}{hint}")
     return columns
 
@@ -43,7 +44,7 @@ def values(raw: pd.DataFrame, columns: dict[str, Column]) -> pd.DataFrame:
     found = {}
     for name, column in columns.items():
         written = pd.Series(raw[column.source])
-        read = np.array(pd.to_numeric(written, errors="coerce"), dtype=float)
+        read = floats(written)
         with np.errstate(over="ignore"):  # of numbers that are too large anyway
             found[name] = (times(written, read) if name == "t" else read) * UNITS[column.unit]
     return pd.DataFrame(found)
@@ -53,7 +54,11 @@ def times(written: pd.Series, values: np.ndarray) -> np.ndarray:
     """(n,) seconds: `values`, or seconds since 1970 where the column is text in ISO 8601 (UTC unless it says else)."""
     if pd.api.types.is_numeric_dtype(written):
         return values
-    stamps = pd.to_datetime(written.astype(str), utc=True, errors="coerce", format="ISO8601")
+    try:
+        text = written.astype(str)
+    except UnicodeDecodeError:  # bytes, of Parquet
+        return values
+    stamps = pd.to_datetime(text, utc=True, errors="coerce", format="ISO8601")
     seconds = (stamps - pd.Timestamp(0, tz="UTC")).dt.total_seconds().to_numpy(float)
     return np.where(np.isfinite(values), values, seconds)
 

@@ -9,9 +9,10 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from identification.measurements import load, numbers
+from identification.measurements import numbers
 from identification.streams.columns import times
-from urdf.description import Column, Measure
+from identification.table_files import floats, load
+from urdf.description import Column, Measure, listed
 from urdf.errors import InputError
 
 _TRAJECTORY = 1.0  # [s] a single row that holds for less is a point of a trajectory, no target
@@ -48,11 +49,11 @@ def read_commands(file: Path, joints: Sequence[str], measure: Measure) -> Holds:
         if column.source in raw.columns:
             values = pd.Series(raw[column.source])
             if name == "t" and not pd.api.types.is_numeric_dtype(values):
-                seconds = times(values, np.array(pd.to_numeric(values, errors="coerce"), dtype=float))
+                seconds = times(values, floats(values))
                 values = values.where(~np.isfinite(seconds), pd.Series(seconds, dtype=object, index=values.index))
             found[name] = numbers(values.tolist(), column, file)
         elif name != "pose":
-            has = ", ".join(map(str, raw.columns))
+            has = listed(raw.columns)
             raise InputError(f"{file}: column {column.source!r} ({name}) is missing from the command log; it has {has}")
     t = found.pop("t")
     if len(t) < 2:

@@ -20,6 +20,7 @@ from identification.streams.health import Tally
 from identification.streams.nmea_time import Clock, FromSentences, FromStamps, Nominal, stamped
 from urdf.description import Log
 from urdf.errors import InputError
+from urdf.input_files import unreadable
 from urdf.rigid_motion import wrap
 
 ATTITUDE = ("PSXN", "PASHR", "PRDID", "XDR")
@@ -61,7 +62,7 @@ def logged(file: Path, log: Log, tally: Tally) -> Iterator[pd.DataFrame]:
             found += len(rows)
             yield _chunk(rows)
     except OSError as error:
-        raise InputError(f"{file}: can't be read: {error.strerror or error}") from None
+        raise unreadable(file, error) from None
     if clock.untimed > found:
         raise InputError(
             f"{file}: neither time stamps before the sentences nor times in them (ZDA, PASHR); "
@@ -190,16 +191,16 @@ def _sums_up(body: str, checksum: str) -> bool:
 
 def _parsed(body: str, checksum: str) -> Any:
     from pynmeagps import NMEAReader
-    from pynmeagps.exceptions import NMEAMessageError, NMEAParseError, NMEATypeError
 
     try:
         return NMEAReader.parse(f"${body}*{checksum}\r\n".encode())
-    except (NMEAParseError, NMEAMessageError, NMEATypeError, ValueError):
+    except Exception:  # besides its own errors, of sentences that are cut short: IndexError, TypeError and others
         return None
 
 
 def _number(message: Any, name: str) -> float:
     try:
-        return float(getattr(message, name, np.nan))
+        value = float(getattr(message, name, np.nan))
     except (TypeError, ValueError):
         return np.nan
+    return value if np.isfinite(value) else np.nan

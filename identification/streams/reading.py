@@ -17,6 +17,7 @@ from identification.streams.repeats import Repeats
 from identification.streams.timeline import Timeline
 from urdf.description import Measure
 from urdf.errors import InputError
+from urdf.input_files import check_file, unreadable
 
 _MOSTLY = 0.9  # of the samples: an optional channel that fewer have is left out
 _FARTHEST = 1e12  # beyond it a number is no time, no angle, nor a pose's
@@ -118,6 +119,8 @@ def open_stream(file: Path, measure: Measure) -> Stream:
 
     Raises InputError for a file that can't be read or is of no known format; reading the chunks may raise it, too.
     """
+    if not file.is_dir():
+        check_file(file)
     form = measure.log.format or _format(file)
     table = form in ("csv", "parquet")
     # with a command log, time says which pose a sample is of
@@ -163,7 +166,7 @@ def _format(file: Path) -> str:
         with open(file, "rb") as stream:
             head = stream.read(8192)
     except OSError as error:
-        raise InputError(f"{file}: can't be read: {error.strerror or error}") from None
+        raise unreadable(file, error) from None
     magic = {b"PAR1": "parquet", b"#ROSBAG V2.0": "bag", b"\x89MCAP0\r\n": "bag", b"SQLite format 3\0": "bag"}
     for start, form in magic.items():
         if head.startswith(start):

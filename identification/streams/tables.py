@@ -11,10 +11,11 @@ from typing import BinaryIO
 
 import pandas as pd
 
-from identification.measurements import header, readable
 from identification.streams.columns import mapped, values
 from identification.streams.health import Tally
+from identification.table_files import decoded, header, parquet, readable
 from urdf.description import Measure
+from urdf.input_files import bounded_each
 
 ROWS = 50_000  # a chunk
 _LONGEST = 1 << 16  # bytes of a line: beyond it is garbage
@@ -26,38 +27,35 @@ def logged(file: Path, measure: Measure, form: str, by_pose: bool, tally: Tally)
     by_pose: it must have a pose column. Raises InputError for a missing column.
     """
     with readable(file):
-        names = _names(file, measure, form)
+        if form == "parquet":
+            yield from _parquet(file, measure, by_pose, tally)
+            return
+        names = header(file, measure)
         columns = mapped(names, measure, file, by_pose)
         sources = [c.source for c in columns.values()]
-        for raw in _parquet(file, sources) if form == "parquet" else _csv(file, measure, names, sources, tally):
-            if form == "parquet":
-                tally.read += len(raw)
+        for raw in _csv(file, measure, names, sources, tally):
             yield values(raw, columns)
-
-
-def _names(file: Path, measure: Measure, form: str) -> list[str]:
-    if form == "parquet":
-        import pyarrow.parquet as pq
-
-        return pq.read_schema(file).names
-    return [str(name) for name in header(file, measure)]
 
 
 def has_pose(file: Path, measure: Measure, form: str) -> bool:
     """Whether a table of samples says which pose each is of."""
-    with readable(file):
-        names = _names(file, measure, form)
+    if form == "parquet":
+        with parquet(file) as (_, names):
+            pass
+    else:
+        names = header(file, measure)
     column = measure.columns.get("pose")
     return "pose" in names or (column is not None and column.source in names)
 
 
-def _parquet(file: Path, columns: list[str]) -> Iterator[pd.DataFrame]:
-    import pyarrow.parquet as pq
-
-    # by default it reads ahead: as much memory as the file has bytes
-    with pq.ParquetFile(file, buffer_size=1 << 20, pre_buffer=False) as table:
-        for batch in table.iter_batches(batch_size=ROWS, columns=columns, use_threads=False):
-            yield batch.to_pandas()
+def _parquet(file: Path, measure: Measure, by_pose: bool, tally: Tally) -> Iterator[pd.DataFrame]:
+    with parquet(file) as (table, names):
+        columns = mapped(names, measure, file, by_pose)
+        sources = [c.source for c in columns.values()]
+        batches = table.iter_batches(batch_size=ROWS, columns=sources, use_threads=False)
+        for raw in bounded_each(file, (decoded(file, batch) for batch in batches)):
+            tally.read += len(raw)
+            yield values(raw, columns)
 
 
 def _csv(file: Path, measure: Measure, names: list[str], wanted: list[str], tally: Tally) -> Iterator[pd.DataFrame]:

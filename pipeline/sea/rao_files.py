@@ -9,8 +9,9 @@ import numpy as np
 from scipy.constants import knot
 
 from pipeline.sea.rao import MODES, RaoTable
-from urdf.description import Column
+from urdf.description import Column, listed
 from urdf.errors import InputError
+from urdf.input_files import bounded, check_file
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -18,6 +19,7 @@ if TYPE_CHECKING:
 _ANGLES = MODES[3:]
 _ODD = np.array([1, -1, 1, -1, 1, -1])  # of a ship with port like starboard, in waves from the other side
 _MSS_AXES = np.array([1, -1, -1, 1, -1, -1])  # x forward, y to starboard, z down -> x forward, y to port, z up
+_MAX_MATLAB = 64 << 20  # bytes of a file
 _WIDEST = np.deg2rad(45.0)  # between tabulated directions
 
 
@@ -47,7 +49,7 @@ def read_rao(file: Path, speed: float) -> RaoTable:
 
 def _own(file: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """frequency (f,), direction (d,), speeds (s,), values (s, f, d, 6) of kincal's own table."""
-    from identification.measurements import load
+    from identification.table_files import load
     from urdf.description import Measure
 
     raw = load(file, Measure())
@@ -79,7 +81,7 @@ def _column(raw: pd.DataFrame, name: str, file: Path) -> np.ndarray:
     from identification.measurements import numbers
 
     if name not in raw:
-        raise InputError(f"{file}: column {name!r} is missing; it has {', '.join(map(str, raw.columns))}")
+        raise InputError(f"{file}: column {name!r} is missing; it has {listed(raw.columns)}")
     return numbers(raw[name].tolist(), Column.model_validate({"from": name}), file)
 
 
@@ -91,10 +93,12 @@ def _mss(file: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """
     from scipy.io import loadmat
 
+    check_file(file, _MAX_MATLAB)
     try:
-        content = loadmat(file, squeeze_me=True, struct_as_record=False)
-    except OSError as error:
-        raise InputError(f"{file}: can't be read: {error.strerror or error}") from None
+        with bounded(file):
+            content = loadmat(file, squeeze_me=True, struct_as_record=False)
+    except InputError:
+        raise
     except Exception as error:  # of a damaged file scipy's reader raises whatever it stumbles over
         raise InputError(f"{file}: not a MATLAB file that can be read: {' '.join(str(error).split())[:200]}") from None
     try:
