@@ -105,8 +105,9 @@ def _converter() -> Converter:
     converter, codec = Converter(forbid_extra_keys=True), _CODEC.get
     converter.register_unstructure_hook_func(_is(BaseModel), lambda v: v.model_dump(mode="json", by_alias=True))
     converter.register_structure_hook_func(_is(BaseModel), lambda v, kind: kind.model_validate(v))
-    converter.register_unstructure_hook_func(_is(Text), lambda v: codec().text_out(v))
-    converter.register_structure_hook_func(_is(Text), lambda v, kind: kind(codec().files[v].decode()))
+    # by class: hooks for strings go before predicates
+    converter.register_unstructure_hook(Text, lambda v: codec().text_out(v))
+    converter.register_structure_hook(Text, lambda v, kind: kind(codec().files[v].decode()))
     converter.register_unstructure_hook(float, _float_out)
     converter.register_structure_hook(float, lambda v, _: float(v))
     converter.register_unstructure_hook(np.ndarray, lambda v: codec().array_out(v))

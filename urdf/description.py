@@ -417,6 +417,9 @@ class Setting:
 PATHS = (("urdf",), ("measure", "table"), ("measure", "streams"), ("measure", "commands"))
 
 
+_MEASURED = (("measure", "table"), ("measure", "commands"))
+
+
 def load_robot(robot: str, overrides: Sequence[str] = ()) -> Robot:
     """Read a robot by name (a folder under urdf/robots) or by the path to its robot.toml or folder.
 
@@ -432,9 +435,13 @@ def described(file: Path, settings: Iterable[Setting]) -> RobotDescription:
     content = read_toml(file)
     _resolve_paths(content, file.parent)
     origin: dict[tuple[str, ...], str] = {}
-    for setting in settings:
+    for setting in (settings := tuple(settings)):
         _put(content, setting)
         origin[setting.keys] = setting.said
+        if setting.keys in _MEASURED and ("measure", "source") not in (other.keys for other in settings):
+            _put(
+                content, Setting(("measure", "source"), "files", setting.said)
+            )  # a drawing is mostly a virtual robot's
     return validate(RobotDescription, content, str(file), origin)
 
 

@@ -134,8 +134,6 @@ def _unit(file: Path, name: str, overrides: Sequence[str]) -> Robot:
             if keys == ("name",):
                 raise InputError(f"{said}: name: a unit's name is the one of [[unit]]")
             settings.append(Setting(keys, relative_to(file.parent, keys, value), said))
-            if keys in (("measure", "table"), ("measure", "commands")):  # a design is mostly drawn as a virtual robot
-                settings.insert(0, Setting(("measure", "source"), "files", said))
     return Robot(design, described(design, [*settings, *map(parse_override, overrides)]), fleet=file)
 
 

@@ -83,7 +83,7 @@ UNIT = '\n[[unit]]\nname = "a"\n'
         (f'design = "ups3_s"{UNIT}set = {{ plan = 3 }}', "unit a: set: plan: found 3"),
         (f'design = "ups3_s"{UNIT}set = {{ name = "b" }}', "unit a: set: name: "),
         (f'design = "ups3_s"{UNIT}[set]\nplan.poses = "x"', "fleet.toml: set: plan.poses: found 'x'"),
-        (f'design = "ups3_s"{UNIT}[set]\n{".".join(500 * "a")} = 1', "nested too deeply"),
+        (f'design = "ups3_s"{UNIT}[set]\n{".".join(500 * "a")} = 1', "a key of more than 100 parts"),
         ('design = "ups3_s"\nunits =', "not valid TOML"),
     ],
 )

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from urdf.assembly import assembled
 from urdf.closed_chain import load_chain
 from urdf.description import ROBOTS, load_robot
-from urdf.drawing import read_text
+from urdf.input_files import read_text
 from urdf.kinematics import at_home
 from urdf.proposal import propose
 from urdf.proposed_toml import robot_toml

@@ -23,6 +23,7 @@ from hypothesis.extra import numpy as arrays
 from pipeline import results
 from pipeline.artifacts import Damaged, Store, decode, encode
 from pipeline.fingerprint import PACKAGES, ROOT
+from pipeline.results import Html, Report
 from pipeline.runner import all_stages
 from urdf.description import Mechanism, VirtualErrors, Workspace
 
@@ -109,6 +110,12 @@ def test_every_result_comes_back_as_it_was(stage, data):
     assert same(decode(files, kind), value)
     assert encode(value) == files  # the same bytes again
     assert encode(decode(files, kind)) == files
+
+
+def test_texts_are_files_that_people_can_open():
+    files = encode(Report(Html("<p>done</p>")))
+    assert files["report.html"] == b"<p>done</p>"
+    assert decode(files, Report) == Report(Html("<p>done</p>"))
 
 
 def test_bytes_do_not_depend_on_the_process(tmp_path, kincal, monkeypatch):

@@ -10,7 +10,7 @@ import pytest
 
 from pipeline.acceptance import accept
 from pipeline.artifacts import Damaged, Store
-from pipeline.executor import executor
+from pipeline.executor import Place, executor
 from pipeline.fan_out import Job, run_all, run_of
 from pipeline.fingerprint import Code
 from pipeline.garbage import free, garbage
@@ -122,8 +122,8 @@ def test_gc_keeps_what_a_sweep_used_while_its_table_is_there(cli, finished, stor
 def test_gc_keeps_what_jobs_have_made_of_an_unfinished_sweep(store):
     job = Job("ups3_s", ("plan.poses=14", 'measure.channels=["orientation"]'), store, "measure")
     before = artifacts(store)
-    with executor(1) as workers:
-        run_all([job], [load_robot(job.robot, job.overrides).description], workers, 1)
+    with executor(Place(1), store) as workers:
+        run_all([job], [load_robot(job.robot, job.overrides).description], workers)
     made = artifacts(store) - before
     assert len(made) == 2
     freed(store)
@@ -319,6 +319,6 @@ def test_documents_name_what_they_were_made_of(cli, start, store):
         assert said["seed"] == 0
         assert {"kincal", "python", "numpy"} <= set(said["versions"])
         assert set(said["files"]) == {"urdf"}
-        assert said["command"].startswith("kincal ")
+        assert said["command"].startswith("kincal")
     (page,) = (store / "robots").glob("*/report.html")
     assert digests["evaluate"] in page.read_text()

@@ -221,3 +221,11 @@ def test_a_column_map_from_a_file_of_its_own(tmp_path):
     file.write_text('[columns]\nx = { from = "meas_x", unti = "mm" }\n')
     with pytest.raises(InputError, match=r"columns.x.unti.*'unit'"):
         read_columns(file)
+
+
+def test_a_table_that_is_set_is_what_is_measured():
+    """Whatever the drawing says; who wants a virtual robot beside it says so."""
+    table = "measure.table=poses.csv"
+    assert not load_robot("ups3_s", [table]).description.measure.virtual
+    assert load_robot("ups3_s", [table, 'measure.source="virtual"']).description.measure.virtual
+    assert load_robot("ups3_s", []).description.measure.virtual
