@@ -12,6 +12,7 @@ set = { "measure.table" = "hull_08.csv" }
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator, Mapping, Sequence
 from functools import lru_cache
 from pathlib import Path
@@ -93,7 +94,7 @@ def load(reference: str, overrides: Sequence[str] = ()) -> Robot:
     try:
         return load_robot(reference, overrides)
     except InputError:
-        if Path(reference).is_file() and "design" in read_toml(Path(reference)):
+        if os.path.isfile(reference) and "design" in read_toml(Path(reference)):
             which = f"--all --from {reference}, or one unit, {reference}:NAME"
             raise InputError(f"{reference}: a fleet, not a robot: {which}") from None
         raise
@@ -101,7 +102,7 @@ def load(reference: str, overrides: Sequence[str] = ()) -> Robot:
 
 def is_unit(reference: str) -> bool:
     file, _, _ = reference.rpartition(":")
-    return bool(file) and not Path(reference).exists() and Path(file).is_file()
+    return bool(file) and not os.path.exists(reference) and os.path.isfile(file)  # quiet about names that can't be
 
 
 def as_reference(robot: str) -> str:

@@ -60,6 +60,13 @@ def parse_toml(text: str) -> dict[str, Any]:
         raise ValueError("nested too deeply") from None
 
 
+def floats(text: str) -> list[float]:
+    """The numbers of an attribute: 1_000 and digits of other scripts are Python's alone. Raises ValueError."""
+    if "_" in text or not text.isascii():
+        raise ValueError
+    return [float(part) for part in text.split()]
+
+
 @contextmanager
 def bounded(file: Path) -> Iterator[None]:
     """While others' code unpacks `file`, this process may get MAX_UNPACKED more memory; beyond: InputError.

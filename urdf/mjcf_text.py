@@ -11,6 +11,7 @@ import numpy as np
 from urdf.description import nearest
 from urdf.drawing import MAX_NUMBER
 from urdf.errors import InputError
+from urdf.input_files import floats
 from urdf.rigid_motion import Motion, exp
 
 _DEEPEST = 100  # classes around a class
@@ -76,7 +77,7 @@ class MjcfText:
         """As many finite numbers as the default has."""
         text, n = attributes.get(key, default), len(default.split())
         try:
-            values = np.array([float(part) for part in text.split()])
+            values = np.array(floats(text))
         except ValueError:
             values = np.zeros(0)
         if len(values) != n or not np.all(np.abs(values) < (MAX_NUMBER if key != "range" else np.inf)):

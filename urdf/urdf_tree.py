@@ -16,6 +16,7 @@ import pinocchio as pin  # pyright: ignore[reportMissingImports] - a wheel witho
 from urdf.description import nearest
 from urdf.drawing import MAX_JOINTS, MAX_NUMBER, Drawing
 from urdf.errors import InputError
+from urdf.input_files import floats
 
 JOINT_TYPES = ("revolute", "continuous", "prismatic", "fixed")
 
@@ -120,7 +121,7 @@ def _check_numbers(joint, name: str, file: Path) -> None:
             if text is None:
                 continue
             try:
-                values = [float(part) for part in text.split()]
+                values = floats(text)
             except ValueError:
                 values = []
             n, largest = (1, np.inf) if tag == "limit" else (3, MAX_NUMBER)

@@ -128,6 +128,8 @@ def check_workspace(chain: ClosedChain, workspace: Workspace) -> WorkspaceReport
     axes = chain.tool_axes
     per_axis = next(k for k in (11, 9, 7, 5, 4, 3) if k ** len(axes) <= _GRID_POINTS or k == 3)
     _check_condition(chain, workspace, np.zeros((1, 6)), chain.home[None])
+    corners = grid(workspace, axes, [2] * len(axes))
+    _require_reached(chain, inverse(chain, corners), corners)  # few poses: what is hopeless is soon refused
     u = grid(workspace, axes, [per_axis] * len(axes))
     found = inverse(chain, u)
     _require_reached(chain, found, u)

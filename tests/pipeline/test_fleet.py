@@ -104,6 +104,7 @@ def test_what_a_fleet_file_refuses(tmp_path, text, said):
         (("ups3_s", "rps3", "ups3_s"), "'ups3_s' stands there twice"),
         (("--all", "--from", "."), "neither a fleet file nor a folder"),
         (("ups3_s", "rps"), "did you mean 'rps3'?"),
+        (("{a=" * 300 + ":b",), "neither a file nor a shipped robot"),
         (("fleet.toml:b",), "fleet.toml: no unit 'b'; allowed: a"),
         (("fleet.toml",), "a fleet, not a robot: --all --from fleet.toml"),
         (("--all", "--from", "fleet.toml", "--until", "mesure"), "'mesure' does not exist"),

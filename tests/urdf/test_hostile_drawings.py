@@ -31,6 +31,7 @@ REFUSED = {
     "equalities": (MJCF.format("<equality>" + "<connect/>" * 20_000 + "</equality>"), "allowed are 2000"),
     "sites": (MJCF.format("").replace("<joint", "<site/>" * 20_000 + "<joint"), "allowed are 2000"),
     "a direction beyond all squares": (MJCF.format("").replace("<joint", '<joint axis="1e308 1e308 0"'), "finite"),
+    "a number of Python's": (MJCF.format("").replace("<joint", '<joint axis="1_0 1 0"'), "finite"),
 }  # fmt: skip
 
 
