@@ -88,8 +88,9 @@ def fill(references: Sequence[str], like: str, store: Store) -> None:
             parts = run.key_parts(stage)
             found = store.find(stage.name, digest(parts))
             if found is None:
-                value = store.load(template.entries[stage.name], stage.result)
-                found = store.save(stage.name, digest(parts), value, {"parts": parts, "provenance": {}})
+                like_it = template.entries[stage.name]
+                sealed = {"parts": parts, "provenance": like_it.manifest["provenance"]}
+                found = store.save(stage.name, digest(parts), store.load(like_it, stage.result), sealed)
             run.entries[stage.name] = found
 
 
