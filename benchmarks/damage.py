@@ -17,27 +17,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from benchmarks.small import QUICK
 from pipeline import artifacts
 from pipeline.artifacts import Entry, Store, digest, encode
 from pipeline.fingerprint import Code
 from pipeline.runner import Run, Stage, all_stages
 from urdf.description import load_robot
 
-SETTINGS = (
-    "plan.poses=12",
-    'measure.channels=["orientation"]',
-    "prior.poses=125",
-    "pretrain.iterations=15",
-    "pretrain.continued=3",
-    "transfer.iterations=10",
-    "siblings.count=4",
-    "siblings.poses=40",
-    "siblings.hidden=6",
-    "siblings.iterations=30",
-    "correct.own_units=4",
-    "correct.shared_units=4",
-    "evaluate.closed_loop=false",
-)
 Digests = dict[str, str]  # {stage: of its result's content}
 
 
@@ -127,7 +113,7 @@ class Clean:
 
 
 def finish(
-    store: Path, settings: tuple[str, ...] = SETTINGS, code: Code | None = None, force_from: str | None = None
+    store: Path, settings: tuple[str, ...] = QUICK, code: Code | None = None, force_from: str | None = None
 ) -> tuple[Digests, set[str]]:
     """Run all stages: {stage: digest of the value that was handed out}, and the stages that ran."""
     events: list[Any] = []
@@ -152,7 +138,7 @@ def _memo() -> dict[str, Any]:
 def clean(folder: Path) -> Clean:
     finish(folder)
     _MEMO.update(Store(folder).read_memo())
-    run = Run(load_robot("ups3_s", SETTINGS), Store(folder), _code=Code(memo=_memo()))
+    run = Run(load_robot("ups3_s", QUICK), Store(folder), _code=Code(memo=_memo()))
     values = dict(zip(all_stages(), run.until(*all_stages()), strict=True))
     return Clean(folder, {name: content(encode(value)) for name, value in values.items()}, values)
 

@@ -17,7 +17,8 @@ from itertools import count
 from pathlib import Path
 from typing import Any
 
-from benchmarks.damage import SETTINGS, Clean, Found, finish, whole
+from benchmarks.damage import Clean, Found, finish, whole
+from benchmarks.small import QUICK
 from pipeline.artifacts import Store
 from pipeline.fingerprint import PACKAGES, ROOT, Code
 from pipeline.garbage import free, garbage
@@ -370,7 +371,7 @@ def helpers(clean: Clean, folder: Path) -> Cases:
             stream.write(_DOUBLED.format(name=name))
         said = []
         for store in (shutil.copytree(clean.store, folder / "old"), folder / "new"):
-            sets = [part for setting in SETTINGS for part in ("--set", setting)]
+            sets = [part for setting in QUICK for part in ("--set", setting)]
             command = [sys.executable, "-m", "pipeline.cli", "run", str(root / "urdf/robots/ups3_s"), *sets]
             environment = os.environ | {"PYTHONPATH": str(root), "PYTHONDONTWRITEBYTECODE": "1"}
             subprocess.run([*command, "--store", store], env=environment, cwd=folder, capture_output=True, check=False)
@@ -396,7 +397,7 @@ def settings(clean: Clean, folder: Path) -> Cases:
     }
     for setting, runs in same.items():
         store = Path(shutil.copytree(clean.store, folder / "store"))
-        yield setting, clean.after(store, runs, settings=(*SETTINGS, setting))
+        yield setting, clean.after(store, runs, settings=(*QUICK, setting))
         shutil.rmtree(store)
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 from collections import defaultdict
 from collections.abc import Mapping
 from pathlib import Path
@@ -13,7 +12,7 @@ from pipeline.fan_out import Failure, Outcome
 from pipeline.fleet import Carried
 from pipeline.sweep import METHOD_NUMBERS, UNITS, method_rows, records
 from pipeline.tables import Table, fixed
-from pipeline.writing import refusing, replace_file
+from pipeline.writing import replace_files
 from urdf.errors import CalibrationError
 
 if TYPE_CHECKING:
@@ -163,11 +162,8 @@ def fleet_json(came: Carried, table: pd.DataFrame, file: Path) -> dict[str, Any]
 
 def write_table(table: pd.DataFrame, folder: Path) -> Path:
     """fleet.parquet; what stood there is replaced at once. Raises InputError."""
-    buffer = io.BytesIO()
-    table.to_parquet(buffer, index=False)
     file = folder / "fleet.parquet"
-    with refusing(f"fleet table {file}"):
-        replace_file(file, buffer.getvalue())
+    replace_files(folder, {file.name: table.to_parquet(index=False)}, f"fleet table {file}")
     return file
 
 

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from random import Random
 
+from benchmarks.small import QUICK
 from tests.fuzz import seeds
 from tests.fuzz.case import ROOT, Result
 from tests.fuzz.mutations import NUMBERS, TEXTS
@@ -22,12 +23,6 @@ from urdf.description import ROBOTS
 
 SECONDS = 60.0  # a command may have a stage to run
 MEGABYTES = 1500.0
-# Small networks, as the tests have them.
-SMALL = (
-    *('measure.channels=["orientation"]', "plan.poses=12", "prior.poses=125", "pretrain.iterations=15"),
-    *("pretrain.continued=3", "transfer.iterations=10", "siblings.count=4", "siblings.poses=40", "siblings.hidden=6"),
-    *("siblings.iterations=30", "correct.own_units=4", "correct.shared_units=4", "evaluate.closed_loop=false"),
-)  # fmt: skip
 _PROGRESS = re.compile(r"^(\S+ \w+ +(running|ran|cached)\b|note: |warning: )")
 NUMBERS_OF = (  # options that want a number
     *("plan ups3_s --poses", "plan ups3_s --accuracy", "plan ups3_s --accuracy-mm", "sweep ups3_s --seeds"),
@@ -131,7 +126,7 @@ class Kincal:
     def _call(self, arguments: tuple[str, ...]):
         folder = self.root / "cwd"
         folder.mkdir(exist_ok=True)
-        settings = [part for setting in SMALL for part in ("--set", setting)]
+        settings = [part for setting in QUICK for part in ("--set", setting)]
         own = [] if arguments[0] == "init" else [*settings, "--store", str(self.store)]
         # the given arguments come last, and win
         command = [

@@ -12,6 +12,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from benchmarks.small import QUICK, SMALL
 from identification.error_model import ErrorModel
 from identification.estimators import identify, register
 from identification.measurements import Measurements
@@ -30,22 +31,6 @@ from pipeline.virtual_robot import VirtualRobot, draw
 from urdf.description import ROBOTS, Correct, Identify, VirtualErrors, load_robot
 from urdf.kinematics import forward, inverse
 
-# In all tests here, unless they say otherwise: a tracker, and small networks whose accuracy is not looked at.
-SMALL = (
-    'measure.channels=["orientation"]',
-    "prior.poses=125",
-    "pretrain.iterations=15",
-    "pretrain.continued=3",
-    "transfer.iterations=10",
-    "siblings.count=4",
-    "siblings.poses=40",
-    "siblings.hidden=6",
-    "siblings.iterations=30",
-    "correct.own_units=4",
-    "correct.shared_units=4",
-    "evaluate.closed_loop=false",  # test_six_methods closes it
-)
-QUICK = ("plan.poses=12", *SMALL)
 ROBOT_COMMANDS = (
     "run",
     "inspect",

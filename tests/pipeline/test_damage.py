@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from benchmarks import damage_cases
-from benchmarks.damage import SETTINGS, Clean, content, tallied
+from benchmarks.damage import Clean, content, tallied
+from benchmarks.small import QUICK
 from pipeline import artifacts, runner
 from pipeline.artifacts import Store, encode
 from pipeline.results import Fit
@@ -19,7 +20,7 @@ from urdf.description import load_robot
 @pytest.fixture(scope="module")
 def clean(finished, start) -> Clean:
     """The finished run, as the benchmark has it."""
-    assert set(finished.settings) == set(SETTINGS)
+    assert set(finished.settings) == set(QUICK)
     run, _ = start(finished.store, *finished.settings)
     stages = list(runner.all_stages())
     values = dict(zip(stages, run.until(*stages), strict=True))
@@ -73,7 +74,7 @@ def test_what_a_stage_hands_on_is_read_back_from_the_store(clean, tmp_path, monk
             watching.__module__ = answer.__module__
             object.__setattr__(stage, "function", watching)
             assert runner.all_stages()[name].function is watching
-        run = runner.Run(load_robot("ups3_s", SETTINGS), Store(tmp_path / "store"))
+        run = runner.Run(load_robot("ups3_s", QUICK), Store(tmp_path / "store"))
         handed = run.until("evaluate", "report")
     live = {id(value) for value in clean.values.values()}
     assert len(used) > 20
@@ -126,7 +127,7 @@ def test_a_library_counts_by_its_major_and_minor_version(clean, start, store, mo
                 version(name) if name != "numpy" else f"{version(name)}9" if change == "patch" else change
             ),
         )
-        found[change] = {state for _, state, _ in start(store, *SETTINGS)[0].status()}
+        found[change] = {state for _, state, _ in start(store, *QUICK)[0].status()}
     assert found == {"2.999.1": {"stale"}, "patch": {"fresh"}}
 
 
@@ -136,7 +137,7 @@ def test_who_when_and_where_are_no_part_of_the_key(clean, tmp_path, monkeypatch)
     for k in range(2):
         with monkeypatch.context() as patched, clean.known():
             patched.setattr(time, "gmtime", lambda *_, k=k: time.struct_time((2000 + k, 1, 1, 0, 0, 0, 0, 1, 0)))
-            run = runner.Run(load_robot("ups3_s", SETTINGS), Store(tmp_path / str(k)), command=str(k))
+            run = runner.Run(load_robot("ups3_s", QUICK), Store(tmp_path / str(k)), command=str(k))
             run.until("report")
         made.append(run.entries)
     for stage, entry in made[0].items():
