@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
+from typing import Any, NamedTuple
 
 from pipeline.artifacts import Damaged, Entry, digest
 from pipeline.runner import Run, Stage, all_stages, change
@@ -22,6 +23,14 @@ class Accepted:
     digest: str  # of the content: as before, so that nothing below runs
 
 
+class _Plan(NamedTuple):
+    stage: Stage
+    old: Entry
+    files: Mapping[str, bytes]  # its payload
+    parts: Mapping[str, Any]  # of its new key
+    changed: tuple[str, ...]
+
+
 def accept(session: Run, only: Collection[str] = ()) -> list[Accepted]:
     """Take the artifacts of last time for those of the code of now; only: of these stages alone.
 
@@ -33,8 +42,7 @@ def accept(session: Run, only: Collection[str] = ()) -> list[Accepted]:
     planned = [found for stage in all_stages().values() if (found := _planned(session, stage, only)) is not None]
     made = time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime())
     accepted = []
-    for stage, old, parts, changed in planned:
-        files = _files(session, stage, old)
+    for stage, old, files, parts, changed in planned:
         key = digest(parts)
         said = {"at": made, "command": session.command, "from_key": old.manifest["key"], "changed": list(changed)}
         said["from_code"] = digest(old.manifest["parts"]["code"])
@@ -45,7 +53,7 @@ def accept(session: Run, only: Collection[str] = ()) -> list[Accepted]:
     return accepted
 
 
-def _planned(session: Run, stage: Stage, only: Collection[str]) -> tuple[Stage, Entry, dict, tuple[str, ...]] | None:
+def _planned(session: Run, stage: Stage, only: Collection[str]) -> _Plan | None:
     """What is to be accepted of a stage: None where it is up to date, or out of question. Raises InputError."""
     wanted = not only or stage.name in only
     missing = [source for source in stage.inputs.values() if source not in session.entries]
@@ -72,10 +80,10 @@ def _planned(session: Run, stage: Stage, only: Collection[str]) -> tuple[Stage, 
     other = change(before | {"code": now}, parts)
     if other is not None:
         raise InputError(f"{stage.name}: can't be accepted: {other}; allowed is a change of code alone")
-    _files(session, stage, old)
+    files = _files(session, stage, old)
     session.entries[stage.name] = old  # its content, and so its digest, is what those below rest on
     units = {**before["code"], **now}
-    return stage, old, parts, tuple(sorted(u for u in units if before["code"].get(u) != now.get(u)))
+    return _Plan(stage, old, files, parts, tuple(sorted(u for u in units if before["code"].get(u) != now.get(u))))
 
 
 def _files(session: Run, stage: Stage, old: Entry) -> dict[str, bytes]:

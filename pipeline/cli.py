@@ -44,7 +44,9 @@ def run(
     until: str = "report",
     force_from: str | None = None,
     output: Path | None = None,
-    json: Annotated[Json, Parameter(help="The comparison as one JSON document on stdout.")] = False,
+    json: Annotated[
+        Json, Parameter(help="One JSON document on stdout: the comparison; of several, the table.")
+    ] = False,
     common: Common = COMMON,
 ) -> None:
     """Run the staged pipeline, and end with the comparison; of several robots, with the fleet's table.
@@ -67,7 +69,9 @@ def run(
         return
     session = opened(robots[0], common, force_from)
     if until != "report":
-        session.until(until)
+        (value,) = session.until(until)
+        if json:
+            print_json(_document(session, value if until == "evaluate" else None, until))
         return
     compared, report = session.until("evaluate", "report")
     page = session.publish(report)
@@ -110,10 +114,11 @@ def compare(
         show_comparison(compared)
 
 
-def _document(session: Run, compared: Comparison) -> dict[str, Any]:
+def _document(session: Run, compared: Comparison | None, until: str = "evaluate") -> dict[str, Any]:
     from pipeline.provenance import provenance
 
-    return asdict(compared) | {"provenance": provenance(session.entries, ["evaluate"], session.command)}
+    found = {"robot": session.robot.description.name, "stage": until} if compared is None else asdict(compared)
+    return found | {"provenance": provenance(session.entries, [until], session.command)}
 
 
 @app.command

@@ -22,7 +22,15 @@ from distributed.scheduler import KilledWorker
 from threadpoolctl import threadpool_limits
 
 from pipeline.artifacts import digest
-from pipeline.executor import STILL_WANTED, JobExecutor, WorkerDied, WorkersLost, bound_threads, threads_per_worker
+from pipeline.executor import (
+    STILL_WANTED,
+    JobExecutor,
+    WorkerDied,
+    WorkersLost,
+    bound_threads,
+    keep_freed_memory,
+    threads_per_worker,
+)
 from pipeline.fan_out import own_code
 from pipeline.runner import all_stages, version
 from pipeline.writing import refusing
@@ -173,6 +181,7 @@ def _carry_out(
         return task is not None and task.state == "executing"
 
     bound_threads(n_threads)
+    keep_freed_memory()
     with _ONE, threadpool_limits(n_threads):
         if "torch" in sys.modules:
             sys.modules["torch"].set_num_threads(n_threads)

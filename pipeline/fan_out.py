@@ -16,6 +16,7 @@ from pydantic_core import to_jsonable_python
 from pipeline.artifacts import Entry, Store, digest
 from pipeline.executor import STILL_WANTED, JobExecutor, undisturbed
 from pipeline.fingerprint import Code
+from pipeline.provenance import provenance
 from pipeline.results import Comparison
 from pipeline.runner import Event, Run, all_stages, needed
 from urdf.description import RobotDescription, as_absolute
@@ -53,6 +54,7 @@ class Outcome:
     passed: tuple[Passed, ...]
     damaged: tuple[str, ...]  # artifacts that were set aside
     comparison: Mapping[str, Any] | None  # where the job's last stage makes one
+    provenance: Mapping[str, Any]  # of what the job was for
 
 
 @dataclass(frozen=True)
@@ -139,18 +141,20 @@ def carry_out(job: Job) -> Outcome:
         events.append(event)
 
     run = run_of(job, observe)
+    last = "evaluate" if job.until == "report" else job.until
     if job.until == "report":
-        value, report = run.until("evaluate", "report")
+        value, report = run.until(last, "report")
         if job.noted:
             run.publish(report)
     else:
-        (value,) = run.until(job.until)
+        (value,) = run.until(last)
     passed = []
     for event in (e for e in events if e.state in ("ran", "cached")):
         entry = run.entries[event.stage]
         passed.append(Passed(event.stage, event.state, event.seconds, entry.manifest["key"], entry.digest))
     damaged = tuple(e.why for e in events if e.state == "damaged")
-    return Outcome(tuple(passed), damaged, asdict(value) if isinstance(value, Comparison) else None)
+    comparison = asdict(value) if isinstance(value, Comparison) else None
+    return Outcome(tuple(passed), damaged, comparison, provenance(run.entries, [last], job.command))
 
 
 def run_all(

@@ -28,9 +28,12 @@ def run_fleet(
     """Raises InputError, also where all robots were bad input; CalibrationError where any failed otherwise."""
     folder, came = _carried(robots, everything, source, on, until, output, common)
     if until not in ("evaluate", "report"):
-        from pipeline.fleet_table import stage_table
+        from pipeline.fleet_table import stage_json, stage_table
 
-        show_table(stage_table(came, until), align="left")
+        if json:
+            print_json(stage_json(came, until))
+        else:
+            show_table(stage_table(came, until), align="left")
     else:
         _show(came, folder, json)
     came.check()
@@ -46,16 +49,16 @@ def compare_fleet(
     else:
         from pipeline.fan_out import Outcome
 
-        compared = [c.comparison for c in came.outcomes if isinstance(c, Outcome)]
+        compared = [c for c in came.outcomes if isinstance(c, Outcome)]
         if json:
-            print_json(compared)
+            print_json([{**(c.comparison or {}), "provenance": c.provenance} for c in compared])
         else:
             from cattrs import structure
 
             from pipeline.results import Comparison
 
-            for comparison in compared:
-                show_comparison(structure(comparison, Comparison))
+            for c in compared:
+                show_comparison(structure(c.comparison, Comparison))
             _show(came, folder, json)
     came.check()
 

@@ -50,7 +50,11 @@ def fleet_table(came: Carried) -> pd.DataFrame:
             rows += [own | row | known[k] for row in method_rows(outcome.comparison)]
     texts = ("robot", "reference", "method", "scored_on")
     kinds = dict.fromkeys(texts, "string") | {"n_poses": "Int64"} | dict.fromkeys(METHOD_NUMBERS, "Float64") | _FAMILY
-    return pd.DataFrame({name: pd.array([r.get(name) for r in rows], dtype=kind) for name, kind in kinds.items()})
+    table = pd.DataFrame({name: pd.array([r.get(name) for r in rows], dtype=kind) for name, kind in kinds.items()})
+    # without the command: the same results give the same bytes
+    told = {name: {k: v for k, v in found.items() if k != "command"} for name, found in _provenance(came).items()}
+    table.attrs["provenance"] = told
+    return table
 
 
 def _families(came: Carried) -> dict[int, dict[str, Any]]:
@@ -148,16 +152,35 @@ def family_lines(table: pd.DataFrame) -> list[str]:
     ]
 
 
+def _counts(came: Carried) -> dict[str, Any]:
+    failed = sum(isinstance(outcome, Failure) for outcome in came.outcomes)
+    return {"fleet": came.name, "robots": len(came.members), "failed": failed}
+
+
+def _provenance(came: Carried) -> dict[str, Any]:
+    """{reference: of its results}"""
+    pairs = zip(came.members, came.outcomes, strict=True)
+    return {member.reference: outcome.provenance for member, outcome in pairs if isinstance(outcome, Outcome)}
+
+
 def fleet_json(came: Carried, table: pd.DataFrame, file: Path) -> dict[str, Any]:
     """The document of `--json`."""
-    return {
-        "fleet": came.name,
-        "robots": len(came.members),
-        "failed": sum(isinstance(outcome, Failure) for outcome in came.outcomes),
+    return _counts(came) | {
         "out_of_family": sorted(set(table["robot"][table["out_of_family"].fillna(False)])),
         "table": str(file),
         "rows": records(table),
+        "provenance": _provenance(came),
     }
+
+
+def stage_json(came: Carried, until: str) -> dict[str, Any]:
+    """The document of `--json` where not all stages were asked for."""
+    rows = []
+    for member, outcome in zip(came.members, came.outcomes, strict=True):
+        failed = isinstance(outcome, Failure)
+        state, error = (None, str(outcome.error)) if failed else (outcome.passed[-1].state, None)
+        rows.append({"robot": member.name, "reference": member.reference, "state": state, "error": error})
+    return _counts(came) | {"stage": until, "rows": rows, "provenance": _provenance(came)}
 
 
 def write_table(table: pd.DataFrame, folder: Path) -> Path:

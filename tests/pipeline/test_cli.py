@@ -185,6 +185,9 @@ def test_until_stops_there(cli, tmp_path, stage_names):
     answer = cli("run", "ups3_s", *SET, "--until", "plan")
     assert (answer.status, answer.out) == (0, "")
     assert sorted(f.name for f in (tmp_path / ".kincal" / "artifacts").iterdir()) == ["model", "plan"]
+    said = json.loads(cli("run", "ups3_s", *SET, "--until", "plan", "--json").out)
+    assert (said["robot"], said["stage"]) == ("ups3_s", "plan")
+    assert list(said["provenance"]["inputs"]) == ["model", "plan"]
 
 
 def test_help_names_every_command(cli):

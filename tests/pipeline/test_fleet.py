@@ -231,6 +231,7 @@ def test_a_fleet(cli, fleet, store, tmp_path):
     # other commands take units as robots
     unit = json.loads(cli("compare", "fleet.toml:unit_3", "--json", "--store", store).out)
     assert unit["robot"] == "unit_3"
+    unit_1 = json.loads(cli("compare", "fleet.toml:unit_1", "--json", "--store", store).out)
     methods = table[table["robot"] == "unit_3"].set_index("method")
     assert [methods["mean_deg"][m["name"]] for m in unit["methods"]] == [m["mean_deg"] for m in unit["methods"]]
     assert {row["state"] for row in json.loads(cli("status", "fleet.toml:unit_3", "--json", "--store", store).out)} == {
@@ -248,6 +249,17 @@ def test_a_fleet(cli, fleet, store, tmp_path):
 
     several = cli("compare", "fleet.toml:unit_0", "fleet.toml:unit_1", "--json", "--store", store)
     assert [c["robot"] for c in json.loads(several.out)] == ["unit_0", "unit_1"]
+
+    # each result says what it was made of, the same wherever it is told
+    told, (reference,) = document["provenance"], {r for r in document["provenance"] if r.endswith(":unit_1")}
+    assert told[reference]["inputs"] == json.loads(several.out)[1]["provenance"]["inputs"]
+    assert told[reference] | {"command": None} == unit_1["provenance"] | {"command": None}
+    assert table.attrs["provenance"][reference]["inputs"] == told[reference]["inputs"]
+    assert len(told) == 5  # not the one that failed
+    measured = cli("run", "--all", "--from", "fleet.toml", "--until", "measure", "--json", "--store", store)
+    rows = json.loads(measured.out)["rows"]
+    assert [row["state"] for row in rows] == ["cached"] * 5 + [None]
+    assert "lost.csv" in rows[-1]["error"]
 
 
 def test_bad_input_alone(cli, tmp_path):
