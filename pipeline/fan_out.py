@@ -1,4 +1,7 @@
-"""Many jobs over few workers: what several jobs share runs once, first, and nobody waits for a neighbour meanwhile."""
+"""Many jobs over few workers: what several jobs share runs once, first, and nobody waits for a neighbour meanwhile.
+
+A worker that has nothing to do while something shared is being made goes ahead with a job's own stages.
+"""
 
 from __future__ import annotations
 
@@ -6,34 +9,21 @@ import heapq
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, CancelledError, Future, wait
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
-from pydantic_core import to_jsonable_python
-
-from pipeline.artifacts import Entry, Store, digest
+from pipeline.artifacts import Entry, Store
 from pipeline.executor import STILL_WANTED, JobExecutor, undisturbed
 from pipeline.fingerprint import Code
 from pipeline.provenance import provenance
 from pipeline.results import Comparison
-from pipeline.runner import Event, Run, all_stages, needed
+from pipeline.runner import Event, Run
+from pipeline.task_graph import Ahead, Job, Task, prefix, shared_tasks
 from urdf.description import RobotDescription, as_absolute
 from urdf.errors import CalibrationError, InputError
 from urdf.fleet import is_unit, load
-
-
-@dataclass(frozen=True)
-class Job:
-    """A robot's way through the stages as a plain value: any worker that sees the store can go it."""
-
-    robot: str  # name, path to a robot.toml, or FLEET.toml:UNIT
-    overrides: tuple[str, ...]  # table.key=value, as of --set
-    store: Path
-    until: str
-    command: str = ""
-    noted: bool = False  # as `kincal run` does: what the robot used last is noted down, and its report published
 
 
 @dataclass(frozen=True)
@@ -62,15 +52,6 @@ class Failure:
     """A job that came to nothing."""
 
     error: InputError | CalibrationError
-
-
-@dataclass(frozen=True)
-class Task:
-    """A job, or (`jobs` many) the stages at the beginning that these share."""
-
-    job: Job
-    jobs: tuple[int, ...]
-    final: bool
 
 
 # observe(task, None) as a task is handed to a worker, and again with what came of it
@@ -167,7 +148,9 @@ def run_all(
 
     Where a shared beginning fails, all of its jobs do, by the same error.
     """
-    tasks, waits_for = _tasks(jobs, robots)
+    prefixes = [prefix(job.until, robot) for job, robot in zip(jobs, robots, strict=True)]
+    tasks, waits_for = shared_tasks(jobs, prefixes)
+    ahead, n_known = Ahead(jobs, prefixes), len(tasks)
     outcomes: dict[int, Outcome | Failure] = {}
     unblocks = defaultdict(list)
     for k, others in enumerate(waits_for):
@@ -177,11 +160,26 @@ def run_all(
     ready = [(-len(tasks[k].jobs), k) for k, others in enumerate(waits_for) if not others]
     heapq.heapify(ready)
     running: dict[Future[Outcome], int] = {}
+
+    def begin(k: int) -> None:
+        observe(tasks[k], None)
+        running[workers.submit(carry_out, tasks[k].job)] = k
+
     while ready or running:
         while ready and len(running) < workers.at_once:
-            _, k = heapq.heappop(ready)
-            observe(tasks[k], None)
-            running[workers.submit(carry_out, tasks[k].job)] = k
+            begin(heapq.heappop(ready)[1])
+        for k in range(n_known):
+            if len(running) >= workers.at_once:
+                break
+            job, waits = tasks[k].jobs[0], waits_for[k]
+            held_up = tasks[k].final and job not in outcomes and waits and max(waits) < n_known
+            task = ahead.task(job) if held_up else None
+            if task is not None:
+                tasks.append(task)
+                waits_for.append(set())
+                unblocks[len(tasks) - 1].append(k)
+                waits.add(len(tasks) - 1)
+                begin(len(tasks) - 1)
         done, _ = wait(running, return_when=FIRST_COMPLETED)
         for future in done:
             k = running.pop(future)
@@ -194,6 +192,7 @@ def run_all(
                     observe(tasks[t], outcome)
             if isinstance(outcome, Failure):
                 continue  # what waits for it never becomes ready
+            ahead.made(tasks[k])
             for other in unblocks[k]:
                 waits_for[other].discard(k)
                 if not waits_for[other]:
@@ -216,48 +215,3 @@ def _all_after(k: int, unblocks: Mapping[int, Iterable[int]]) -> list[int]:
                 found[other] = None
                 queue.append(other)
     return sorted(found)
-
-
-def _tasks(jobs: Sequence[Job], robots: Sequence[RobotDescription]) -> tuple[list[Task], list[set[int]]]:
-    """The tasks, shared beginnings before the jobs, and for each the tasks that it waits for.
-
-    A stage's result is shared by the jobs whose settings agree in it and in all that it rests on. It is a task of
-    its own where ways part after it; else it runs along with the one stage that follows.
-    """
-    prefixes = [_prefixes(job.until, robot) for job, robot in zip(jobs, robots, strict=True)]
-    users, follow = defaultdict(list), defaultdict(set)
-    for k, prefix in enumerate(prefixes):
-        for stage, key in prefix.items():
-            users[key].append(k)
-            for source in _direct(stage):
-                follow[prefix[source]].add(key)
-    number, tasks, waits_for = {}, [], []
-    for k, prefix in enumerate(prefixes):
-        for stage, key in prefix.items():
-            if key not in number and len(users[key]) > 1 and len(follow[key]) != 1:
-                number[key] = len(tasks)
-                beginning = replace(jobs[k], until=stage)
-                tasks.append(Task(beginning, tuple(users[key]), final=False))
-                before = (prefix[s.name] for s in needed(stage) if s.name != stage)
-                waits_for.append({number[other] for other in before if other in number})
-    for k, prefix in enumerate(prefixes):
-        tasks.append(Task(jobs[k], (k,), final=True))
-        waits_for.append({number[key] for key in prefix.values() if key in number})
-    return tasks, waits_for
-
-
-def _prefixes(until: str, robot: RobotDescription) -> dict[str, str]:
-    """{stage: digest of the settings of it and of all that it rests on}, in running order."""
-    found: dict[str, str] = {}
-    for stage in needed(until):
-        settings = {name: to_jsonable_python(getattr(robot, name), by_alias=True) for name in stage.settings}
-        found[stage.name] = digest([stage.name, settings, [found[source] for source in stage.inputs.values()]])
-    return found
-
-
-@lru_cache
-def _direct(stage: str) -> frozenset[str]:
-    """The stage's inputs, without those that another input rests on anyway."""
-    inputs = set(all_stages()[stage].inputs.values())
-    deeper = {before.name for source in inputs for before in needed(source) if before.name != source}
-    return frozenset(inputs - deeper)

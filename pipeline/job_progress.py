@@ -44,7 +44,7 @@ class JobProgress:
 
     def __call__(self, task: Task, outcome: Outcome | Failure | None) -> None:
         if outcome is None:
-            what = self._labels[task.job] if task.final else f"{task.job.until}, shared by {len(task.jobs)}"
+            what = self._labels[task.job] if task.final else _beginning(task)
             self._running[task] = self._bar.add_task(f"  {what}", total=None, now="")
             return
         if task in self._running:
@@ -53,7 +53,7 @@ class JobProgress:
             self._say(f"warning: {warning}; set aside, it runs again", "yellow")
         if not task.final:
             if not err.is_terminal:
-                self._say(f"{self._robot} {task.job.until}, shared by {len(task.jobs)} jobs  {_what(outcome)}", "dim")
+                self._say(f"{self._robot} {_beginning(task)}  {_what(outcome)}", "dim")
             return
         self._done += 1
         self._failed += isinstance(outcome, Failure)
@@ -64,6 +64,11 @@ class JobProgress:
 
     def _say(self, line: str, style: str) -> None:
         err.print(Text(" ".join(line.split("\n")), style=style), soft_wrap=True)
+
+
+def _beginning(task: Task) -> str:
+    n = len(task.jobs)
+    return f"{task.job.until}, shared by {n} jobs" if n > 1 else f"{task.job.until}, ahead of the rest"
 
 
 def _what(outcome: Outcome | Failure) -> str:

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import pytest
 
+from benchmarks.small import QUICK as SMALL
 from pipeline.executor import Place, WorkerDied, executor, place, threads_per_worker, undisturbed
 from pipeline.fan_out import Failure, Job, run_all, run_of
 from urdf.description import load_robot
@@ -86,13 +87,15 @@ def test_a_second_time_all_is_cached(tmp_path):
 
 def test_ways_that_part_do_not_wait_for_each_other(tmp_path):
     """What is begun together rests on nothing that another task is still making."""
-    from pipeline.fan_out import _prefixes, _tasks
+    from pipeline.task_graph import prefix, shared_tasks
 
     settings = [(f"identify.max_iterations={n}", f"seed={s}") for s in (0, 1, 2) for n in (200, 300)]
     listed = jobs(tmp_path, "evaluate", *settings)
     robots = [load_robot(job.robot, job.overrides).description for job in listed]
-    tasks, waits_for = _tasks(listed, robots)
-    prefixes = [_prefixes(t.job.until, robots[t.jobs[0]]) for t in tasks]
+    tasks, waits_for = shared_tasks(
+        listed, [prefix(job.until, robot) for job, robot in zip(listed, robots, strict=True)]
+    )
+    prefixes = [prefix(t.job.until, robots[t.jobs[0]]) for t in tasks]
     before = [set(w) for w in waits_for]
     for k in range(len(tasks)):
         before[k].update(*(before[other] for other in waits_for[k]))
@@ -102,6 +105,29 @@ def test_ways_that_part_do_not_wait_for_each_other(tmp_path):
         for b in range(a):
             if b not in before[a]:
                 assert not made & set(prefixes[b].values())
+
+
+def test_an_idle_worker_goes_ahead(tmp_path):
+    """While `siblings` is made for all, the other worker makes what a job has for itself alone; nothing runs twice."""
+    tasks, begun = [], []
+
+    def observe(task, outcome):
+        (tasks if outcome else begun).append((task, outcome))
+
+    quick = [part for part in SMALL if not part.startswith(("siblings.iterations", "measure.channels"))]
+    settings = [(*quick, "siblings.iterations=6000", f"measure.seed={s}") for s in (0, 1)]
+    outcomes = done(jobs(tmp_path, "correct", *settings), 2, observe)
+    (made,) = {task.jobs for task, _ in tasks if task.job.until == "siblings"}
+    assert made == (0, 1)
+    early = [task for task, _ in tasks if not task.final and len(task.jobs) == 1]
+    assert [task.job.until for task in early] == ["identify"] * len(early)
+    assert early[0].jobs == (0,)
+    order = [(task.final, task.job.until) for task, _ in tasks]
+    assert order.index((False, "identify")) < order.index((False, "siblings"))
+    ran = Counter((p.stage, p.key) for _, o in tasks for p in o.passed if p.state == "ran")
+    assert set(ran.values()) == {1}
+    assert [[p.stage for p in o.passed] for o in outcomes] == [[p.stage for p in outcomes[0].passed]] * 2
+    assert len(begun) == len(tasks)
 
 
 # What fails
@@ -176,6 +202,7 @@ def test_an_exception_kills_the_workers():
 CHILD = """
 import os, sys, time
 from pathlib import Path
+from benchmarks.small import QUICK as SMALL
 from pipeline.executor import Place, executor
 if __name__ == "__main__":
     with executor(Place(2), Path()) as workers:
