@@ -90,7 +90,7 @@ def _show(came: Carried, folder: Path, json: bool) -> None:
     from pipeline.fleet_table import family_lines, fleet_json, fleet_table, shown_table, write_table
 
     table = fleet_table(came)
-    file = write_table(table, folder)
+    file = write_table(came, table, folder)
     if json:
         print_json(fleet_json(came, table, file))
         return

@@ -50,11 +50,7 @@ def fleet_table(came: Carried) -> pd.DataFrame:
             rows += [own | row | known[k] for row in method_rows(outcome.comparison)]
     texts = ("robot", "reference", "method", "scored_on")
     kinds = dict.fromkeys(texts, "string") | {"n_poses": "Int64"} | dict.fromkeys(METHOD_NUMBERS, "Float64") | _FAMILY
-    table = pd.DataFrame({name: pd.array([r.get(name) for r in rows], dtype=kind) for name, kind in kinds.items()})
-    # without the command: the same results give the same bytes
-    told = {name: {k: v for k, v in found.items() if k != "command"} for name, found in _provenance(came).items()}
-    table.attrs["provenance"] = told
-    return table
+    return pd.DataFrame({name: pd.array([r.get(name) for r in rows], dtype=kind) for name, kind in kinds.items()})
 
 
 def _families(came: Carried) -> dict[int, dict[str, Any]]:
@@ -183,10 +179,15 @@ def stage_json(came: Carried, until: str) -> dict[str, Any]:
     return _counts(came) | {"stage": until, "rows": rows, "provenance": _provenance(came)}
 
 
-def write_table(table: pd.DataFrame, folder: Path) -> Path:
-    """fleet.parquet; what stood there is replaced at once. Raises InputError."""
-    file = folder / "fleet.parquet"
-    replace_files(folder, {file.name: table.to_parquet(index=False)}, f"fleet table {file}")
+def write_table(came: Carried, table: pd.DataFrame, folder: Path) -> Path:
+    """fleet.parquet, with the robots' provenance; what stood there is replaced at once. Raises InputError."""
+    file, told = folder / "fleet.parquet", table.copy(deep=False)
+    # Without the command: the same results give the same bytes. Not in `table`: each look at a column copies it.
+    told.attrs["provenance"] = {
+        name: {key: value for key, value in found.items() if key != "command"}
+        for name, found in _provenance(came).items()
+    }
+    replace_files(folder, {file.name: told.to_parquet(index=False)}, f"fleet table {file}")
     return file
 
 
