@@ -218,17 +218,21 @@ class Store:
             if replace:
                 with contextlib.suppress(FileNotFoundError):
                     folder.rename(aside / "old")
-            try:
-                temporary.rename(folder)
-            except OSError:
-                # Another run was first. What it stored counts: its bytes are the same, but for the order of sums.
-                text = _content(folder / "manifest.json")
-                first = _sealed(text)
-                if text is None or first is None or first.get("key") != key:
+            while True:
+                try:
+                    temporary.rename(folder)
+                    break
+                except OSError as error:
+                    # Another run was first. What it stored counts: its bytes are the same, but for the order of sums.
+                    theirs = _content(folder / "manifest.json")
+                    first = _sealed(theirs)
+                    if theirs is not None and first is not None and first.get("key") == key:
+                        return Entry(folder, first, theirs)
+                    if error.errno in (errno.ENOTEMPTY, errno.EEXIST) and not folder.exists():
+                        continue  # freed, or set aside, in between
                     if (aside / "old").exists():
                         (aside / "old").rename(folder)
                     raise
-                return Entry(folder, first, text)
             _sync(folder.parent)
         return Entry(folder, sealed, text)
 

@@ -75,7 +75,7 @@ def free(store: Store, found: Collection[Removable]) -> list[Removable]:
             if one.kind == "lock":
                 done = _unlocked(one.path)
             elif one.kind == "leftover":
-                done = _abandoned(one.path) and _removed(one.path)
+                done = _swept(one.path)
             else:
                 done = store.discard(one.path)
             if done:
@@ -151,11 +151,19 @@ def _abandoned(path: Path) -> bool:
     return True
 
 
-def _removed(path: Path) -> bool:
-    if path.is_dir():
-        shutil.rmtree(path)
-    else:
-        path.unlink(missing_ok=True)
+def _swept(path: Path) -> bool:
+    """Remove what no living process writes in. Locked all the while: who has just made it must not begin there."""
+    try:
+        locked = lock_folder(path, wait=False)
+    except OSError:
+        return False
+    try:
+        if path.is_dir():
+            shutil.rmtree(path)
+        else:
+            path.unlink(missing_ok=True)
+    finally:
+        os.close(locked)
     return True
 
 

@@ -23,7 +23,8 @@ from urdf.description import PATHS, Robot
 from urdf.errors import CalibrationError, InputError
 from urdf.input_files import check_file
 
-_ATTEMPTS = 4  # to read a result that others damage or free meanwhile
+_ATTEMPTS = 4  # to read a result that is damaged as soon as it is written
+_PATIENCE = 100  # times that others may free a result before it is read: each `gc` frees it once at most
 _LONGEST = 100  # letters of a changed value that are shown
 
 
@@ -193,16 +194,19 @@ class Run:
 
     def _value(self, stage: Stage) -> Any:
         """A stage's result from the store; one that is damaged is set aside, and one that is gone is made again."""
-        for _ in range(_ATTEMPTS):
+        damaged = gone = 0
+        while damaged < _ATTEMPTS and gone < _PATIENCE:
             entry = self.entries[stage.name]
             try:
                 return self.store.load(entry, stage.result)
             except Damaged as damage:
-                gone = not entry.folder.exists()  # freed by `gc` between finding and reading
-                if not gone:
+                if entry.folder.exists():
+                    damaged, why = damaged + 1, "was damaged"
                     self._set_aside(stage, damage)
+                else:  # freed by `gc` between finding and reading
+                    gone, why = gone + 1, "is gone"
             parts = self.key_parts(stage)
-            self._produce(stage, parts, digest(parts), f"its artifact {'is gone' if gone else 'was damaged'}")
+            self._produce(stage, parts, digest(parts), f"its artifact {why}")
         raise InputError(f"store {self.store.root}: {stage.name}: what is written there does not stay as it is written")
 
     def key_parts(self, stage: Stage) -> dict[str, Any]:

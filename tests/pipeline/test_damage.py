@@ -11,7 +11,7 @@ import pytest
 from benchmarks import damage_cases
 from benchmarks.damage import Clean, content, tallied
 from benchmarks.small import QUICK
-from pipeline import artifacts, runner
+from pipeline import artifacts, garbage, runner
 from pipeline.artifacts import Store, encode
 from pipeline.results import Fit
 from urdf.description import load_robot
@@ -113,6 +113,56 @@ def test_who_comes_second_takes_what_the_first_has_stored(tmp_path):
     assert second.manifest == first.manifest
     np.testing.assert_array_equal(store.load(second, Fit).registered, store.load(first, Fit).registered)
     assert not list((tmp_path / "store" / "tmp").iterdir())
+
+
+def test_what_was_first_is_freed_before_it_counts(tmp_path, monkeypatch):
+    """Between the rename that it refused and the look at what it stored."""
+    store = Store(tmp_path / "store")
+    first = store.save("plan", 64 * "a", fit(0.0), {})
+    content = artifacts._content
+
+    def freed_first(file):
+        if file == first.folder / "manifest.json":
+            store.discard(first.folder)
+        return content(file)
+
+    monkeypatch.setattr(artifacts, "_content", freed_first)
+    second = store.save("plan", 64 * "a", fit(1.0), {})
+    np.testing.assert_array_equal(store.load(second, Fit).registered, fit(1.0).registered)
+
+
+def test_a_result_that_is_freed_time_and_again_is_made_again(clean, tmp_path, monkeypatch):
+    """More often than one that is damaged each time would be."""
+    load, freed = Store.load, []
+
+    def freed_first(store, entry, kind):
+        if entry.folder.parent.name == "model" and len(freed) < 20:
+            freed.append(store.discard(entry.folder))
+        return load(store, entry, kind)
+
+    monkeypatch.setattr(Store, "load", freed_first)
+    with clean.known():
+        runner.Run(load_robot("ups3_s", QUICK), Store(tmp_path / "store")).until("plan")
+    assert freed == 20 * [True]
+
+
+def test_nobody_begins_in_a_leftover_that_is_being_removed(tmp_path, monkeypatch):
+    store = Store(tmp_path / "store")
+    leftover = tmp_path / "store" / "tmp" / "leftover"
+    leftover.mkdir(parents=True)
+    remove, tried = garbage.shutil.rmtree, []
+
+    def begun_first(folder, **options):
+        if folder == leftover:
+            with pytest.raises(BlockingIOError):
+                artifacts.lock_folder(folder, wait=False)
+            tried.append(folder)
+        remove(folder, **options)
+
+    monkeypatch.setattr(garbage.shutil, "rmtree", begun_first)
+    assert garbage.free(store, garbage.garbage(store).found)
+    assert tried == [leftover]
+    assert not leftover.exists()
 
 
 def test_a_library_counts_by_its_major_and_minor_version(clean, start, store, monkeypatch):
