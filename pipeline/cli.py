@@ -18,7 +18,6 @@ from pipeline.options import COMMON, All, Common, Flag, From, Json, JsonInstead,
 from urdf.errors import CalibrationError, InputError, one_line
 
 if TYPE_CHECKING:
-    from pipeline.results import Comparison
     from pipeline.runner import Run
 
 app = App(
@@ -71,12 +70,14 @@ def run(
     if until != "report":
         (value,) = session.until(until)
         if json:
-            print_json(_document(session, value if until == "evaluate" else None, until))
+            name = session.robot.description.name
+            said = asdict(value) if until == "evaluate" else {"robot": name, "stage": until}
+            print_json(_document(session, said, until))
         return
     compared, report = session.until("evaluate", "report")
     page = session.publish(report)
     if json:
-        print_json(_document(session, compared))
+        print_json(_document(session, asdict(compared)))
         return
     show_comparison(compared)
     if page.is_file():
@@ -109,16 +110,15 @@ def compare(
     session = opened(robots[0], common)
     (compared,) = session.until("evaluate")
     if json:
-        print_json(_document(session, compared))
+        print_json(_document(session, asdict(compared)))
     else:
         show_comparison(compared)
 
 
-def _document(session: Run, compared: Comparison | None, until: str = "evaluate") -> dict[str, Any]:
+def _document(session: Run, said: dict[str, Any], until: str = "evaluate") -> dict[str, Any]:
     from pipeline.provenance import provenance
 
-    found = {"robot": session.robot.description.name, "stage": until} if compared is None else asdict(compared)
-    return found | {"provenance": provenance(session.entries, [until], session.command)}
+    return said | {"provenance": provenance(session.entries, [until], session.command)}
 
 
 @app.command

@@ -20,7 +20,7 @@ from pipeline.fingerprint import Code
 from pipeline.provenance import provenance
 from pipeline.results import Comparison
 from pipeline.runner import Event, Run
-from pipeline.task_graph import Ahead, Job, Task, prefix, shared_tasks
+from pipeline.task_graph import Ahead, Job, Task, prefix_of, shared_tasks
 from urdf.description import RobotDescription, as_absolute
 from urdf.errors import CalibrationError, InputError
 from urdf.fleet import is_unit, load
@@ -148,7 +148,7 @@ def run_all(
 
     Where a shared beginning fails, all of its jobs do, by the same error.
     """
-    prefixes = [prefix(job.until, robot) for job, robot in zip(jobs, robots, strict=True)]
+    prefixes = [prefix_of(job.until, robot) for job, robot in zip(jobs, robots, strict=True)]
     tasks, waits_for = shared_tasks(jobs, prefixes)
     ahead, n_known = Ahead(jobs, prefixes), len(tasks)
     outcomes: dict[int, Outcome | Failure] = {}
@@ -172,6 +172,7 @@ def run_all(
             if len(running) >= workers.at_once:
                 break
             job, waits = tasks[k].jobs[0], waits_for[k]
+            # no more than one of a job's tasks at a time
             held_up = tasks[k].final and job not in outcomes and waits and max(waits) < n_known
             task = ahead.task(job) if held_up else None
             if task is not None:

@@ -193,10 +193,5 @@ def write_table(came: Carried, table: pd.DataFrame, folder: Path) -> Path:
 
 def stage_table(came: Carried, until: str) -> Table:
     """Where not all stages were asked for: one row a robot."""
-    rows = []
-    for member, outcome in zip(came.members, came.outcomes, strict=True):
-        if isinstance(outcome, Failure):
-            rows.append((member.name, f"failed: {outcome.error}"))
-        else:
-            rows.append((member.name, outcome.passed[-1].state))
-    return Table(("robot", until), tuple(rows))
+    rows = stage_json(came, until)["rows"]
+    return Table(("robot", until), tuple((r["robot"], r["state"] or f"failed: {r['error']}") for r in rows))

@@ -65,7 +65,8 @@ def shared_tasks(jobs: Sequence[Job], prefixes: Sequence[Prefix]) -> tuple[list[
     return tasks, waits_for
 
 
-def prefix(until: str, robot: RobotDescription) -> Prefix:
+def prefix_of(until: str, robot: RobotDescription) -> Prefix:
+    """Of a job that goes as far as `until`."""
     found: Prefix = {}
     for stage in needed(until):
         settings = {name: to_jsonable_python(getattr(robot, name), by_alias=True) for name in stage.settings}

@@ -1,6 +1,7 @@
 """Where jobs run: the same results everywhere, shared beginnings once, and a worker that dies costs its job alone."""
 
 import os
+import platform
 import signal
 import subprocess
 import sys
@@ -11,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks.small import QUICK as SMALL
+from benchmarks.small import QUICK
 from pipeline.executor import Place, WorkerDied, executor, place, threads_per_worker, undisturbed
 from pipeline.fan_out import Failure, Job, run_all, run_of
 from urdf.description import load_robot
@@ -87,15 +88,13 @@ def test_a_second_time_all_is_cached(tmp_path):
 
 def test_ways_that_part_do_not_wait_for_each_other(tmp_path):
     """What is begun together rests on nothing that another task is still making."""
-    from pipeline.task_graph import prefix, shared_tasks
+    from pipeline.task_graph import prefix_of, shared_tasks
 
     settings = [(f"identify.max_iterations={n}", f"seed={s}") for s in (0, 1, 2) for n in (200, 300)]
     listed = jobs(tmp_path, "evaluate", *settings)
     robots = [load_robot(job.robot, job.overrides).description for job in listed]
-    tasks, waits_for = shared_tasks(
-        listed, [prefix(job.until, robot) for job, robot in zip(listed, robots, strict=True)]
-    )
-    prefixes = [prefix(t.job.until, robots[t.jobs[0]]) for t in tasks]
+    tasks, waits_for = shared_tasks(listed, [prefix_of("evaluate", robot) for robot in robots])
+    prefixes = [prefix_of(t.job.until, robots[t.jobs[0]]) for t in tasks]
     before = [set(w) for w in waits_for]
     for k in range(len(tasks)):
         before[k].update(*(before[other] for other in waits_for[k]))
@@ -114,7 +113,7 @@ def test_an_idle_worker_goes_ahead(tmp_path):
     def observe(task, outcome):
         (tasks if outcome else begun).append((task, outcome))
 
-    quick = [part for part in SMALL if not part.startswith(("siblings.iterations", "measure.channels"))]
+    quick = [part for part in QUICK if not part.startswith(("siblings.iterations", "measure.channels"))]
     settings = [(*quick, "siblings.iterations=6000", f"measure.seed={s}") for s in (0, 1)]
     outcomes = done(jobs(tmp_path, "correct", *settings), 2, observe)
     (made,) = {task.jobs for task, _ in tasks if task.job.until == "siblings"}
@@ -128,6 +127,32 @@ def test_an_idle_worker_goes_ahead(tmp_path):
     assert set(ran.values()) == {1}
     assert [[p.stage for p in o.passed] for o in outcomes] == [[p.stage for p in outcomes[0].passed]] * 2
     assert len(begun) == len(tasks)
+
+
+FAULTS = """
+import resource, sys
+import numpy as np
+np.ones(500_000).sum()
+before = resource.getrusage(resource.RUSAGE_SELF).ru_minflt
+for _ in range(200):
+    np.ones(500_000).sum()
+open(sys.argv[-1] if __name__ == "__main__" else {file!r}, "w").write(
+    str(resource.getrusage(resource.RUSAGE_SELF).ru_minflt - before)
+)
+"""
+
+
+@pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="other C libraries have no mallopt")
+def test_workers_keep_the_memory_that_they_free(tmp_path, monkeypatch):
+    """200 arrays of 4 MB, one after the other, with what Dask sets for its workers: each is 977 pages."""
+    monkeypatch.setenv("MALLOC_TRIM_THRESHOLD_", "65536")
+    source = FAULTS.format(file=str(tmp_path / "worker"))
+    with executor(Place(2), Path()) as workers:
+        workers.submit(exec, source).result()
+    subprocess.run([sys.executable, "-c", source, tmp_path / "alone"], check=True)
+    kept, alone = (int((tmp_path / name).read_text()) for name in ("worker", "alone"))
+    assert alone > 100_000
+    assert kept < 10_000
 
 
 # What fails
@@ -202,7 +227,6 @@ def test_an_exception_kills_the_workers():
 CHILD = """
 import os, sys, time
 from pathlib import Path
-from benchmarks.small import QUICK as SMALL
 from pipeline.executor import Place, executor
 if __name__ == "__main__":
     with executor(Place(2), Path()) as workers:
