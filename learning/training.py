@@ -17,6 +17,9 @@ from learning.network import Sizes
 from learning.normal_equations import System, linearised
 
 _DAMPING = (1e-3, 1e-12, 1e10)  # start, least, most
+# Delayed gratification (Transtrum and Sethna 2012): a refused step raises the damping by little, an accepted one lowers
+# it by much; not by so much after a refused one, whose damping is near what the next step needs.
+_RAISED, _LOWERED, _AFTER_REFUSAL = 2.0, 0.05, 0.25
 _LEAST_FALL = 1e-9  # of the loss in an iteration: less is the end
 
 
@@ -60,6 +63,7 @@ class _Damped(Members):
         self.sizes, self.patience, self.iterations = sizes, patience, iterations
         self.begin(self._losses(self.prior))
         self.damping, self.done = np.full(len(who), _DAMPING[0]), np.zeros(len(who), dtype=int)
+        self.refused = np.zeros(len(who), dtype=bool)  # the last trial step
         self.systems: list[System | None] = [None] * len(who)
 
     def _losses(self, weights: Tensor) -> np.ndarray:
@@ -88,7 +92,9 @@ class _Damped(Members):
                 solved[k] = True
         losses, before = self._losses(trial), self.losses[:, 0]
         better = solved & (losses[:, 0] < before)  # false for what is no number
-        self.damping = np.clip(np.where(better, self.damping / 10, self.damping * 10), *_DAMPING[1:])
+        lowered = np.where(self.refused, _AFTER_REFUSAL, _LOWERED)
+        self.damping = np.clip(self.damping * np.where(better, lowered, _RAISED), *_DAMPING[1:])
+        self.refused = ~better
         given_up = ~better & (self.damping >= _DAMPING[2])
         at_rest = better & (before - losses[:, 0] < _LEAST_FALL * before)
         self.systems = [None if b else system for b, system in zip(better, self.systems, strict=True)]

@@ -288,8 +288,8 @@ class Prior(_Table):
 
 class Pretrain(_Table):
     hidden: Annotated[int, Field(ge=1, le=64)] = 16  # units in each of the two hidden layers
-    iterations: Annotated[int, Field(ge=1, le=5000)] = 150  # of Levenberg-Marquardt
-    continued: Annotated[int, Field(ge=1, le=5000)] = 20  # more of them on the identified model's poses
+    iterations: Annotated[int, Field(ge=1, le=5000)] = 60  # of Levenberg-Marquardt
+    continued: Annotated[int, Field(ge=1, le=5000)] = 5  # more of them on the identified model's poses
     validation: Annotated[float, Field(ge=0, lt=0.5)] = 0.1
 
 

@@ -7,6 +7,7 @@ import pytest
 import torch
 from scipy.optimize import least_squares
 
+from learning import training
 from learning.first_order import adam
 from learning.members import Problem
 from learning.network import Network, Sizes, initial_weights
@@ -225,6 +226,19 @@ def test_a_start_that_is_best_is_kept(overfitting):
     y[:, :15] += 1.0
     found = levenberg_marquardt(Problem(x, -y, None, task.train, task.validate), sizes, start, iterations=20)
     np.testing.assert_array_equal(found.weights, start)
+
+
+def test_damping_that_is_raised_by_little_leads_further(monkeypatch):
+    """Lower by far after as many iterations as with Marquardt's own 10 and 1 / 10, over random smooth tasks."""
+    sizes, random = (3, 8, 8, 2), np.random.default_rng(0)
+    x = random.uniform(-1, 1, (6, 300, 3))
+    y = np.sin(x @ random.normal(size=(6, 3, 2)) + random.normal(size=(6, 1, 2)))
+    task = Problem(x, -y, None, np.ones((6, 300)), np.zeros((6, 300)))
+    ours = levenberg_marquardt(task, sizes, random_start(sizes, 6), iterations=60)
+    for name, factor in (("_RAISED", 10.0), ("_LOWERED", 0.1), ("_AFTER_REFUSAL", 0.1)):
+        monkeypatch.setattr(training, name, factor)
+    usual = levenberg_marquardt(task, sizes, random_start(sizes, 6), iterations=60)
+    assert np.log(usual.train_loss / ours.train_loss).mean() > np.log(10)
 
 
 def test_decay_pulls_to_the_start(overfitting):
