@@ -12,8 +12,9 @@ import sys
 import threading
 import uuid
 from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import CancelledError, Future
+from concurrent.futures import CancelledError, Future, ThreadPoolExecutor
 from functools import lru_cache
+from importlib import import_module
 from pathlib import Path
 from typing import Any, ParamSpec, TypeVar
 
@@ -113,7 +114,6 @@ class DaskWorkers(JobExecutor):
 
     def _same_everywhere(self, store: Path, files: Sequence[Path]) -> dict[str, str]:
         """What a result depends on beside its input. Raises InputError where a worker differs, or sees other files."""
-        facts = _facts(store)
         try:
             self._client.wait_for_workers(1, timeout=_PATIENCE)
         except TimeoutError:
@@ -122,8 +122,12 @@ class DaskWorkers(JobExecutor):
         with refusing(f"store {store}"):
             token.parent.mkdir(parents=True, exist_ok=True)
             token.touch()
+        asked = (_answer, store, token, list(files), threads_per_worker(1))
         try:
-            answers: Any = self._client.run(_answer, store, token, list(files), on_error="return")
+            with ThreadPoolExecutor(1) as aside:
+                given = aside.submit(self._client.run, *asked, on_error="return")
+                facts = _facts(store)  # meanwhile
+                answers: Any = given.result()
         finally:
             token.unlink(missing_ok=True)
         for worker, answer in answers.items():
@@ -159,15 +163,28 @@ def _facts(store: Path) -> dict[str, str]:
 
 # In the worker
 
+_IMPORTED = ("pinocchio", "casadi", "pandas", "torch")  # by the stages, and slowly
 _ONE = threading.Lock()  # a worker of several threads runs one job at a time: the next one finds it all imported
 
 
-def _answer(store: Path, token: Path, files: Sequence[Path]) -> tuple[dict[str, str], str | None]:
+def _answer(store: Path, token: Path, files: Sequence[Path], n_threads: int) -> tuple[dict[str, str], str | None]:
     """(facts, the first path that is not there or can't be written)."""
+    facts = _facts(store)
     unseen = next((str(f) for f in (token, *files) if not f.exists()), None)
     if unseen is not None:
-        return _facts(store), str(store) if unseen == str(token) else unseen
-    return _facts(store), None if os.access(store, os.W_OK) else str(store)
+        return facts, str(store) if unseen == str(token) else unseen
+    if not os.access(store, os.W_OK):
+        return facts, str(store)
+    threading.Thread(target=_get_ready, args=(n_threads,), daemon=True).start()
+    return facts, None
+
+
+def _get_ready(n_threads: int) -> None:
+    """What the stages import takes seconds: now, while the caller plans."""
+    with _ONE:
+        bound_threads(n_threads)
+        for library in _IMPORTED:
+            import_module(library)
 
 
 def _carry_out(

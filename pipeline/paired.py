@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from math import factorial
 
 import numpy as np
 
 SIGNIFICANT = 0.05
+_MOST_EXACT = 7  # sizes whose orders are all tried
 
 
 @dataclass(frozen=True)
@@ -73,5 +75,22 @@ def trend(n: np.ndarray, ratios: np.ndarray) -> Trend | None:
     if len(rows) <= len(ratios):
         return None
     (rho, p), *each = (np.array(spearmanr(n, row)) for row in rows)
+    if len(n) <= _MOST_EXACT:
+        p = _exact_p(n, rows[0])
     own = np.array([rho for rho, _ in each])
     return Trend(float(rho), float(p), float(np.median(own)), signed_rank(own))
+
+
+def _exact_p(n: np.ndarray, row: np.ndarray) -> float:
+    """Of Spearman's rho, over all orders: scipy's own p is for many sizes, and 0 where all of a few are in order."""
+    from scipy.stats import permutation_test, rankdata
+
+    of_n = rankdata(n) - rankdata(n).mean()
+    found = permutation_test(
+        (rankdata(row),),
+        lambda ranks, axis: ranks @ of_n,
+        permutation_type="pairings",
+        n_resamples=factorial(_MOST_EXACT),  # all, if these are enough
+        vectorized=True,
+    )
+    return float(found.pvalue)

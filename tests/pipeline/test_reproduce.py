@@ -4,7 +4,7 @@ import csv
 import json
 import re
 from dataclasses import replace
-from itertools import pairwise
+from itertools import pairwise, permutations
 from pathlib import Path
 
 import numpy as np
@@ -278,6 +278,19 @@ def test_trend_is_scipys():
     assert (found.rho_by_seed, found.p_by_seed) == pytest.approx((np.median(own), stats.wilcoxon(own).pvalue))
     assert trend(n[:2], ratios[:, :2]) is None
     assert trend(n, np.ones((10, 21))) is None
+
+
+def test_the_trend_over_few_sizes_is_exact():
+    """Six sizes have 720 orders, of which one falls throughout and one rises; and those that are as far from none."""
+    n, ratios = np.arange(6), np.array([np.exp(-np.arange(6.0)), np.exp(-2 * np.arange(6.0))])
+    falling = trend(n, ratios)
+    assert falling is not None
+    assert (falling.rho, falling.p) == pytest.approx((-1, 2 / 720))
+    order = [1, 0, 2, 3, 5, 4]
+    other = trend(n, ratios[:, order])
+    rhos = np.array([stats.spearmanr(n, some).statistic for some in permutations(range(6))])
+    assert other is not None
+    assert other.p == pytest.approx(np.mean(np.abs(rhos) >= abs(other.rho) - 1e-12))
 
 
 def test_holm():
