@@ -61,6 +61,7 @@ class DaskWorkers(JobExecutor):
         except BaseException:
             self._client.close(timeout=1)
             raise
+        self._n_workers = len(self._present())
         self._store, self._jobs = store, self._client.get_executor(pure=False)
         self._closed, self._lost = threading.Event(), threading.Event()
         self._waiting: set[Future[Any]] = set()
@@ -68,7 +69,8 @@ class DaskWorkers(JobExecutor):
 
     @property
     def at_once(self) -> int:
-        return max(1, len(self._present()))
+        """As last looked: asking the scheduler costs it milliseconds each time."""
+        return max(1, self._n_workers)
 
     def submit(self, fn: Callable[_P, _T], /, *args: _P.args, **kwargs: _P.kwargs) -> Future[_T]:
         given = self._jobs.submit(_carry_out, digest(self._facts), self._store, threads_per_worker(1), fn, args, kwargs)
@@ -106,7 +108,8 @@ class DaskWorkers(JobExecutor):
         """Dask waits for workers for ever."""
         away = 0.0
         while not self._closed.wait(_LOOK):
-            away = 0.0 if self._present() else away + _LOOK
+            self._n_workers = len(self._present())
+            away = 0.0 if self._n_workers else away + _LOOK
             if away >= _LOST:
                 for found in list(self._waiting):
                     if not found.done():
