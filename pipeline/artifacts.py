@@ -218,21 +218,14 @@ class Store:
             if replace:
                 with contextlib.suppress(FileNotFoundError):
                     folder.rename(aside / "old")
-            while True:
-                try:
-                    temporary.rename(folder)
-                    break
-                except OSError as error:
-                    # Another run was first. What it stored counts: its bytes are the same, but for the order of sums.
-                    theirs = _content(folder / "manifest.json")
-                    first = _sealed(theirs)
-                    if theirs is not None and first is not None and first.get("key") == key:
-                        return Entry(folder, first, theirs)
-                    if error.errno in (errno.ENOTEMPTY, errno.EEXIST) and not folder.exists():
-                        continue  # freed, or set aside, in between
-                    if (aside / "old").exists():
-                        (aside / "old").rename(folder)
-                    raise
+            try:
+                first = _in_place(temporary, folder, key)
+            except OSError:
+                if (aside / "old").exists():
+                    (aside / "old").rename(folder)
+                raise
+            if first is not None:
+                return first
             _sync(folder.parent)
         return Entry(folder, sealed, text)
 
@@ -363,6 +356,25 @@ class Store:
 
     def _folder(self, stage: str, key: str) -> Path:
         return self.root / "artifacts" / stage / key[:40]
+
+
+def _in_place(temporary: Path, folder: Path, key: str) -> Entry | None:
+    """Rename a finished artifact into place; or, where another run was first, what that has stored.
+
+    That counts: its bytes are the same, but for the order of sums. Raises OSError where neither is possible.
+    """
+    while True:
+        try:
+            temporary.rename(folder)
+        except OSError as error:
+            text = _content(folder / "manifest.json")
+            first = _sealed(text)
+            if text is not None and first is not None and first.get("key") == key:
+                return Entry(folder, first, text)
+            if error.errno not in (errno.ENOTEMPTY, errno.EEXIST) or folder.exists():
+                raise
+            continue  # freed, or set aside, in between
+        return None
 
 
 def lock_folder(folder: Path, wait: bool = True) -> int:

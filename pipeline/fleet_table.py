@@ -171,12 +171,16 @@ def fleet_json(came: Carried, table: pd.DataFrame, file: Path) -> dict[str, Any]
 
 def stage_json(came: Carried, until: str) -> dict[str, Any]:
     """The document of `--json` where not all stages were asked for."""
+    return _counts(came) | {"stage": until, "rows": _stage_rows(came), "provenance": _provenance(came)}
+
+
+def _stage_rows(came: Carried) -> list[dict[str, Any]]:
     rows = []
     for member, outcome in zip(came.members, came.outcomes, strict=True):
         failed = isinstance(outcome, Failure)
         state, error = (None, str(outcome.error)) if failed else (outcome.passed[-1].state, None)
         rows.append({"robot": member.name, "reference": member.reference, "state": state, "error": error})
-    return _counts(came) | {"stage": until, "rows": rows, "provenance": _provenance(came)}
+    return rows
 
 
 def write_table(came: Carried, table: pd.DataFrame, folder: Path) -> Path:
@@ -193,5 +197,5 @@ def write_table(came: Carried, table: pd.DataFrame, folder: Path) -> Path:
 
 def stage_table(came: Carried, until: str) -> Table:
     """Where not all stages were asked for: one row a robot."""
-    rows = stage_json(came, until)["rows"]
-    return Table(("robot", until), tuple((r["robot"], r["state"] or f"failed: {r['error']}") for r in rows))
+    rows = tuple((row["robot"], row["state"] or f"failed: {row['error']}") for row in _stage_rows(came))
+    return Table(("robot", until), rows)

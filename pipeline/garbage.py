@@ -6,7 +6,7 @@ import json
 import os
 import shutil
 from collections.abc import Collection, Iterator
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -142,29 +142,33 @@ def _listed(folder: Path) -> list[Path]:
     return []
 
 
-def _abandoned(path: Path) -> bool:
-    """Whether no living process writes there."""
-    try:
-        os.close(lock_folder(path, wait=False))
-    except OSError:
-        return False
-    return True
-
-
-def _swept(path: Path) -> bool:
-    """Remove what no living process writes in. Locked all the while: who has just made it must not begin there."""
+@contextmanager
+def _held(path: Path) -> Iterator[bool]:
+    """Whether no living process writes there; within, none can begin to."""
     try:
         locked = lock_folder(path, wait=False)
     except OSError:
-        return False
+        yield False
+        return
     try:
-        if path.is_dir():
-            shutil.rmtree(path)
-        else:
-            path.unlink(missing_ok=True)
+        yield True
     finally:
         os.close(locked)
-    return True
+
+
+def _abandoned(path: Path) -> bool:
+    with _held(path) as ours:
+        return ours
+
+
+def _swept(path: Path) -> bool:
+    """Remove what no living process writes in. Held all the while: who has just made it must not begin there."""
+    with _held(path) as ours:
+        if ours and path.is_dir():
+            shutil.rmtree(path)
+        elif ours:
+            path.unlink(missing_ok=True)
+        return ours
 
 
 def _unlocked(file: Path) -> bool:

@@ -130,15 +130,13 @@ def test_an_idle_worker_goes_ahead(tmp_path):
 
 
 FAULTS = """
-import resource, sys
+import resource
 import numpy as np
 np.ones(500_000).sum()
 before = resource.getrusage(resource.RUSAGE_SELF).ru_minflt
 for _ in range(200):
     np.ones(500_000).sum()
-open(sys.argv[-1] if __name__ == "__main__" else {file!r}, "w").write(
-    str(resource.getrusage(resource.RUSAGE_SELF).ru_minflt - before)
-)
+open({file!r}, "w").write(str(resource.getrusage(resource.RUSAGE_SELF).ru_minflt - before))
 """
 
 
@@ -146,11 +144,12 @@ open(sys.argv[-1] if __name__ == "__main__" else {file!r}, "w").write(
 def test_workers_keep_the_memory_that_they_free(tmp_path, monkeypatch):
     """200 arrays of 4 MB, one after the other, with what Dask sets for its workers: each is 977 pages."""
     monkeypatch.setenv("MALLOC_TRIM_THRESHOLD_", "65536")
-    source = FAULTS.format(file=str(tmp_path / "worker"))
+    files = [tmp_path / "worker", tmp_path / "alone"]
+    in_worker, by_itself = (FAULTS.format(file=str(file)) for file in files)
     with executor(Place(2), Path()) as workers:
-        workers.submit(exec, source).result()
-    subprocess.run([sys.executable, "-c", source, tmp_path / "alone"], check=True)
-    kept, alone = (int((tmp_path / name).read_text()) for name in ("worker", "alone"))
+        workers.submit(exec, in_worker).result()
+    subprocess.run([sys.executable, "-c", by_itself], check=True)
+    kept, alone = (int(file.read_text()) for file in files)
     assert alone > 100_000
     assert kept < 10_000
 
