@@ -11,14 +11,15 @@ import os
 import sys
 import threading
 import uuid
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import CancelledError, Future, ThreadPoolExecutor
+from contextlib import contextmanager
 from functools import lru_cache
 from importlib import import_module
 from pathlib import Path
 from typing import Any, ParamSpec, TypeVar
 
-from distributed import Client, get_worker
+from distributed import Client, Worker, get_worker
 from distributed.scheduler import KilledWorker
 from threadpoolctl import threadpool_limits
 
@@ -202,7 +203,7 @@ def _carry_out(
 
     bound_threads(n_threads)
     keep_freed_memory()
-    with _ONE, threadpool_limits(n_threads):
+    with _ONE, threadpool_limits(n_threads), _unsampled(worker):
         if "torch" in sys.modules:
             sys.modules["torch"].set_num_threads(n_threads)
         if digest(_facts(store)) != facts:  # one that came later
@@ -214,3 +215,17 @@ def _carry_out(
             return fn(*args, **kwargs)
         finally:
             STILL_WANTED.reset(token)
+
+
+@contextmanager
+def _unsampled(worker: Worker) -> Iterator[None]:
+    """For its dashboard Dask looks at the job's stack a hundred times a second: a tenth of the job's time."""
+    sampler = worker.periodic_callbacks.get("profile")
+    if sampler is None:
+        yield
+        return
+    worker.loop.add_callback(sampler.stop)
+    try:
+        yield
+    finally:
+        worker.loop.add_callback(sampler.start)

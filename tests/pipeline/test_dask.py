@@ -39,6 +39,25 @@ def test_threads_are_bounded_where_numpy_was_there_first(scheduler, tmp_path):
         assert workers.submit(eval, "__import__('os').environ['OMP_NUM_THREADS']").result() == "1"
 
 
+SAMPLED = """
+import time
+from distributed import get_worker
+sampler = get_worker().periodic_callbacks["profile"]
+end = time.monotonic() + 20
+while sampler.is_running() is not {wanted} and time.monotonic() < end:
+    time.sleep(0.01)
+assert sampler.is_running() is {wanted}
+"""
+
+
+def test_a_job_is_not_sampled_others_are(scheduler, tmp_path):
+    """Dask's statistical profiler takes a tenth of a worker's time (docs/fleet.md)."""
+    with executor(Place(0, scheduler), tmp_path) as workers:
+        for _ in range(2):
+            workers.submit(exec, SAMPLED.format(wanted=False)).result()
+            workers._client.submit(exec, SAMPLED.format(wanted=True), pure=False).result()
+
+
 def digests(on: Place, store: Path) -> list[list[str]]:
     quiet = ('measure.channels=["orientation"]',)
     jobs = [Job("ups3_s", (*quiet, f"plan.poses={n}"), store, "measure") for n in (12, 14)]
