@@ -12,7 +12,7 @@ import sys
 import threading
 import uuid
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import CancelledError, Future, ThreadPoolExecutor
+from concurrent.futures import CancelledError, Future
 from contextlib import contextmanager
 from functools import lru_cache
 from importlib import import_module
@@ -23,7 +23,7 @@ from distributed import Client, Worker, get_worker
 from distributed.scheduler import KilledWorker
 from threadpoolctl import threadpool_limits
 
-from pipeline.artifacts import digest
+from pipeline.artifacts import Store, digest
 from pipeline.executor import (
     STILL_WANTED,
     JobExecutor,
@@ -126,12 +126,11 @@ class DaskWorkers(JobExecutor):
         with refusing(f"store {store}"):
             token.parent.mkdir(parents=True, exist_ok=True)
             token.touch()
-        asked = (_answer, store, token, list(files), threads_per_worker(1))
         try:
-            with ThreadPoolExecutor(1) as aside:
-                given = aside.submit(self._client.run, *asked, on_error="return")
-                facts = _facts(store)  # meanwhile
-                answers: Any = given.result()
+            self._client.run(_begin_importing, threads_per_worker(1), on_error="return")
+            facts = _facts(store)
+            Store(store).write_memo(own_code(store).used)  # parsing all sources takes a second: once is enough
+            answers: Any = self._client.run(_answer, store, token, list(files), on_error="return")
         finally:
             token.unlink(missing_ok=True)
         for worker, answer in answers.items():
@@ -171,7 +170,7 @@ _IMPORTED = ("pinocchio", "casadi", "pandas", "torch")  # by the stages, and slo
 _ONE = threading.Lock()  # a worker of several threads runs one job at a time: the next one finds it all imported
 
 
-def _answer(store: Path, token: Path, files: Sequence[Path], n_threads: int) -> tuple[dict[str, str], str | None]:
+def _answer(store: Path, token: Path, files: Sequence[Path]) -> tuple[dict[str, str], str | None]:
     """(facts, the first path that is not there or can't be written)."""
     facts = _facts(store)
     unseen = next((str(f) for f in (token, *files) if not f.exists()), None)
@@ -179,12 +178,15 @@ def _answer(store: Path, token: Path, files: Sequence[Path], n_threads: int) -> 
         return facts, str(store) if unseen == str(token) else unseen
     if not os.access(store, os.W_OK):
         return facts, str(store)
-    threading.Thread(target=_get_ready, args=(n_threads,), daemon=True).start()
     return facts, None
 
 
-def _get_ready(n_threads: int) -> None:
-    """What the stages import takes seconds: now, while the caller plans."""
+def _begin_importing(n_threads: int) -> None:
+    """What the stages import takes seconds: while the caller gets ready, too."""
+    threading.Thread(target=_import, args=(n_threads,), daemon=True).start()
+
+
+def _import(n_threads: int) -> None:
     with _ONE:
         bound_threads(n_threads)
         for library in _IMPORTED:
