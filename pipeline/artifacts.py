@@ -20,7 +20,7 @@ from collections.abc import Collection, Iterator, Mapping
 from contextlib import contextmanager
 from contextvars import ContextVar
 from dataclasses import dataclass, field
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -53,7 +53,7 @@ class Entry:
     manifest: Mapping[str, Any]
     text: bytes = field(repr=False)  # the manifest as it is stored
 
-    @property
+    @cached_property
     def digest(self) -> str:
         """Of the content alone: the same bytes from another stage run have the same digest."""
         return digest({name: f["sha256"] for name, f in self.manifest["files"].items()})

@@ -183,14 +183,21 @@ def _stage_rows(came: Carried) -> list[dict[str, Any]]:
     return rows
 
 
+class _Shared(dict[str, Any]):
+    """Attributes of a table that pandas would copy, to the depth, at each look at a column."""
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> _Shared:
+        return self
+
+
 def write_table(came: Carried, table: pd.DataFrame, folder: Path) -> Path:
     """fleet.parquet, with the robots' provenance; what stood there is replaced at once. Raises InputError."""
     file, told = folder / "fleet.parquet", table.copy(deep=False)
-    # Without the command: the same results give the same bytes. Not in `table`: each look at a column copies it.
-    told.attrs["provenance"] = {
-        name: {key: value for key, value in found.items() if key != "command"}
+    # Without the command: the same results give the same bytes.
+    told.attrs["provenance"] = _Shared(
+        (name, {key: value for key, value in found.items() if key != "command"})
         for name, found in _provenance(came).items()
-    }
+    )
     replace_files(folder, {file.name: told.to_parquet(index=False)}, f"fleet table {file}")
     return file
 
