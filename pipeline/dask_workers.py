@@ -64,7 +64,7 @@ class DaskWorkers(JobExecutor):
             raise
         self._n_workers = len(self._present())
         self._store, self._jobs = store, self._client.get_executor(pure=False)
-        self._closed, self._lost = threading.Event(), threading.Event()
+        self._closed = threading.Event()
         self._waiting: set[Future[Any]] = set()
         threading.Thread(target=self._watch, daemon=True).start()
 
