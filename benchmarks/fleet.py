@@ -39,10 +39,10 @@ class Timed:
     memory: int  # the largest resident set of one process [bytes]
 
 
-def fleet(folder: Path, n: int, seeds: int | None = None) -> Path:
-    """A fleet file of n units, with as many seeds."""
+def fleet(folder: Path, n: int) -> Path:
+    """A fleet file of n units, each with a seed of its own."""
     file = folder / f"fleet{n}.toml"
-    units = "".join(f'[[unit]]\nname = "hull_{k:03d}"\nseed = {k % (seeds or n)}\n' for k in range(n))
+    units = "".join(f'[[unit]]\nname = "hull_{k:03d}"\nseed = {k}\n' for k in range(n))
     file.write_text(f'design = "ups3_s"\n{SETTINGS}{units}')
     return file
 
@@ -143,7 +143,7 @@ def main() -> None:
         print(f"each robot more, from 6 to 24: {first:.2f} s, from 24 to 48: {more:.2f} s ({more / first:.2f} x)")
         print(f"largest process {max(largest, many.memory) / 1e9:.2f} GB (target {TARGET_MEMORY / 1e9} GB)")
 
-        file, like, store = fleet(folder, 200, seeds=24), f"{fleet(folder, 24)}:hull_000", folder / "two0"
+        file, like, store = fleet(folder, 200), f"{fleet(folder, 24)}:hull_000", folder / "two0"
         timed([kincal(like, "--store", store, until="report")], 1)
         fill(references(file), like, Store(store))
         cached = kincal("--all", "--from", file, "--store", store, until="report")

@@ -160,9 +160,9 @@ class Store:
         """The artifact of a key; None where there is none. Raises Damaged where its manifest is broken."""
         folder = self._folder(stage, key)
         text = _content(folder / "manifest.json")
-        manifest = _sealed(text)
-        if text is not None and manifest is not None and manifest.get("key") == key:
-            return Entry(folder, manifest, text)
+        entry = _entry(folder, text)
+        if entry is not None and entry.manifest.get("key") == key:
+            return entry
         if folder.exists():
             raise Damaged(f"{folder / 'manifest.json'}: not what was stored", folder, text)
         return None
@@ -296,8 +296,7 @@ class Store:
 
     def read_memo(self) -> dict[str, Any]:
         """What was found out about source files, by their digests; empty where that file is damaged."""
-        sealed = read_json(self.root / "code.json")
-        return sealed["memo"] if isinstance(sealed, dict) and _fits(sealed.get("seal"), sealed.get("memo")) else {}
+        return dict(_memo(_content(self.root / "code.json")))
 
     def write_memo(self, memo: Mapping[str, Any]) -> None:
         """Keep what was found out, where it is new."""
@@ -367,10 +366,9 @@ def _in_place(temporary: Path, folder: Path, key: str) -> Entry | None:
         try:
             temporary.rename(folder)
         except OSError as error:
-            text = _content(folder / "manifest.json")
-            first = _sealed(text)
-            if text is not None and first is not None and first.get("key") == key:
-                return Entry(folder, first, text)
+            first = _entry(folder, _content(folder / "manifest.json"))
+            if first is not None and first.manifest.get("key") == key:
+                return first
             if error.errno not in (errno.ENOTEMPTY, errno.EEXIST) or folder.exists():
                 raise
             continue  # freed, or set aside, in between
@@ -393,6 +391,19 @@ def lock_folder(folder: Path, wait: bool = True) -> int:
         os.close(descriptor)
         raise
     return descriptor
+
+
+@lru_cache
+def _memo(text: bytes | None) -> Mapping[str, Any]:
+    sealed = _parsed(text)
+    return sealed["memo"] if isinstance(sealed, dict) and _fits(sealed.get("seal"), sealed.get("memo")) else {}
+
+
+@lru_cache(maxsize=256)
+def _entry(folder: Path, text: bytes | None) -> Entry | None:
+    """Robots share artifacts: a manifest's seal is checked once for as long as its bytes stay the same."""
+    manifest = _sealed(text)
+    return None if text is None or manifest is None else Entry(folder, manifest, text)
 
 
 def _sealed(text: bytes | None) -> dict[str, Any] | None:

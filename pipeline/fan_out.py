@@ -9,7 +9,7 @@ import heapq
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, CancelledError, Future, wait
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -43,7 +43,7 @@ class Outcome:
 
     passed: tuple[Passed, ...]
     damaged: tuple[str, ...]  # artifacts that were set aside
-    comparison: Mapping[str, Any] | None  # where the job's last stage makes one
+    comparison: Comparison | None  # where the job's last stage makes one
     provenance: Mapping[str, Any]  # of what the job was for
 
 
@@ -134,7 +134,7 @@ def carry_out(job: Job) -> Outcome:
         entry = run.entries[event.stage]
         passed.append(Passed(event.stage, event.state, event.seconds, entry.manifest["key"], entry.digest))
     damaged = tuple(e.why for e in events if e.state == "damaged")
-    comparison = asdict(value) if isinstance(value, Comparison) else None
+    comparison = value if isinstance(value, Comparison) else None
     return Outcome(tuple(passed), damaged, comparison, provenance(run.entries, [last], job.command))
 
 

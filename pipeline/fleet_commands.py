@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -49,16 +50,12 @@ def compare_fleet(
     else:
         from pipeline.fan_out import Outcome
 
-        compared = [c for c in came.outcomes if isinstance(c, Outcome)]
+        compared = [(c.comparison, c.provenance) for c in came.outcomes if isinstance(c, Outcome) and c.comparison]
         if json:
-            print_json([{**(c.comparison or {}), "provenance": c.provenance} for c in compared])
+            print_json([asdict(comparison) | {"provenance": found} for comparison, found in compared])
         else:
-            from cattrs import structure
-
-            from pipeline.results import Comparison
-
-            for c in compared:
-                show_comparison(structure(c.comparison, Comparison))
+            for comparison, _ in compared:
+                show_comparison(comparison)
             _show(came, folder, json)
     came.check()
 

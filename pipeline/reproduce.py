@@ -13,6 +13,7 @@ from identification.channels import all_turns
 from pipeline.executor import Place, executor
 from pipeline.fan_out import Failure, Job, Observe, Outcome, files_of, portable, run_all
 from pipeline.pose_errors import PoseErrors, errors_of
+from pipeline.results import MethodScore
 from urdf.description import RobotDescription, load_robot
 from urdf.errors import CalibrationError, InputError
 
@@ -186,11 +187,11 @@ def _place(point: Point) -> tuple[int, ...]:
 def _rows(point: Point, outcome: Outcome) -> list[dict[str, Any]]:
     compared = outcome.comparison
     assert compared is not None
-    held_out = {score["name"]: score for score in compared["held_out"]}
-    closed = {score["name"]: score for score in compared["closed_loop"]}
+    held_out = {score.name: score for score in compared.held_out}
+    closed = {score.name: score for score in compared.closed_loop}
     rows = []
-    for score in (compared["raw_nominal"], *compared["methods"]):
-        name = score["name"]
+    for score in (compared.raw_nominal, *compared.methods):
+        name = score.name
         row = {"seed": point.seed, "planned_poses": point.planned, "n": point.n, "hidden": point.hidden}
         row |= {"prior_poses": point.prior, "method": name}
         for scored_on, part in (("fresh", score), ("held_out", held_out.get(name))):
@@ -199,7 +200,7 @@ def _rows(point: Point, outcome: Outcome) -> list[dict[str, Any]]:
     return rows
 
 
-def _number(score: Mapping[str, Any] | None, index: str) -> float | None:
+def _number(score: MethodScore | None, index: str) -> float | None:
     if score is None:
         return None
-    return score["axis_mean_deg"][index] if index in "xyz" else score[f"{index}_deg"]
+    return score.axis_mean_deg[index] if index in "xyz" else getattr(score, f"{index}_deg")

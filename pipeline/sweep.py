@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 from pipeline.executor import Place, executor
 from pipeline.fan_out import Failure, Job, Observe, Outcome, files_of, portable, run_all
 from pipeline.grid import Over, combinations, parse_over
+from pipeline.results import Comparison
 from pipeline.tables import Table, fixed
 from pipeline.writing import refusing, replace_file
 from urdf.description import RobotDescription
@@ -123,18 +124,17 @@ def _rows(point: Point, outcome: Outcome | Failure) -> list[dict[str, Any]]:
     return [own | row for row in method_rows(outcome.comparison)]
 
 
-def method_rows(compared: Mapping[str, Any]) -> list[dict[str, Any]]:
+def method_rows(compared: Comparison) -> list[dict[str, Any]]:
     """A comparison as rows, one a method."""
-    closed = {score["name"]: score for score in compared["closed_loop"]}
-    held_out = {score["name"]: score for score in compared["held_out"]}
+    closed = {score.name: score for score in compared.closed_loop}
+    held_out = {score.name: score for score in compared.held_out}
     rows = []
-    for score in compared["methods"]:
-        name, axes = score["name"], score["axis_mean_deg"]
-        row = {"method": name, "scored_on": compared["scored_on"], "n_poses": compared["n_poses"]}
-        row |= {number: score[number] for number in _NUMBERS if number in score}
-        row |= {f"{axis}_deg": axes[axis] for axis in "xyz"}
+    for score in compared.methods:
+        row = {"method": score.name, "scored_on": compared.scored_on, "n_poses": compared.n_poses}
+        row |= {number: getattr(score, number) for number in _NUMBERS if hasattr(score, number)}
+        row |= {f"{axis}_deg": score.axis_mean_deg[axis] for axis in "xyz"}
         for group, scores in (("closed_loop", closed), ("held_out", held_out)):
-            row |= {f"{group}_{mean}": scores[name][mean] for mean in UNITS if name in scores}
+            row |= {f"{group}_{mean}": getattr(scores[score.name], mean) for mean in UNITS if score.name in scores}
         rows.append(row)
     return rows
 
