@@ -1,12 +1,13 @@
 """A fleet of 3-UPS/S units: speed on 1 and 2 workers and on Dask, memory, cost a robot, and 200 that are cached.
 
 Each row is a whole `kincal run --all` in a process of its own, on an empty store but for the last ones. The peer is
-what one would write in a shell: one `kincal run` a unit, two at a time, on one store. One worker, two and
-Dask take turns, since the speed of a machine changes within minutes. Some twenty minutes on two quiet cores.
+what one would write in a shell: one `kincal run` a unit, two at a time, on one store. What is compared takes
+turns, since the speed of a machine changes within minutes. Some twenty minutes on two quiet cores.
 """
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 import tempfile
@@ -29,8 +30,9 @@ plan.poses = 60
 measure.channels = ["orientation"]
 evaluate.closed_loop = false
 """
-TURNS = 4  # of one worker, two, and Dask
+TURNS = 4
 TARGET_SPEED, TARGET_DASK, TARGET_MEMORY, TARGET_CACHED = 1.7, 1.15, 1.5e9, 5.0
+_ENVIRONMENT = dict(os.environ)  # without what a cluster in this process adds for its workers
 
 
 @dataclass(frozen=True)
@@ -66,7 +68,8 @@ def timed(commands: Sequence[Sequence[str | Path]], at_once: int, watched: Seque
     watcher.start()
     while waiting or running:
         while waiting and len(running) < at_once:
-            running.append(subprocess.Popen(waiting.pop(0), stdout=subprocess.DEVNULL, stderr=subprocess.PIPE))
+            quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.PIPE}
+            running.append(subprocess.Popen(waiting.pop(0), env=_ENVIRONMENT, **quiet))
         ended = next((p for p in running if p.poll() is not None), None)
         if ended is None:
             time.sleep(0.01)
@@ -116,7 +119,6 @@ def main() -> None:
 
         print(f"{'whole process':<58} {'':9}  largest process")
         options, turns = {"n_workers": 2, "threads_per_worker": 1, "dashboard_address": ":0"}, []
-        largest = 0
         for k in range(TURNS):
             one = run(24, "1", f"one{k}")
             row("24 units, 1 worker", one)
@@ -126,23 +128,23 @@ def main() -> None:
                 workers = [psutil.Process(nanny.pid) for nanny in cluster.workers.values()]
                 dask = run(24, cluster.scheduler_address.replace("tcp", "dask"), f"dask{k}", watched=workers)
             row("24 units, Dask, 2 workers", dask, f"{dask.seconds / two.seconds:.2f} x the time")
-            turns.append((one.seconds, two.seconds, dask.seconds))
-            largest = max(largest, one.memory, two.memory, dask.memory)
-        alone, pool, on_dask = np.mean(turns, axis=0)
+            six, many = run(6, "2", f"six{k}"), run(48, "2", f"many{k}")
+            row("6 units, 2 workers", six)
+            row("48 units, 2 workers", many)
+            turns.append((one, two, dask, six, many))
+        alone, pool, on_dask, few, most = np.mean([[found.seconds for found in turn] for turn in turns], axis=0)
         print(f"in the mean: 2 workers {alone / pool:.2f} x the speed of 1 (target {TARGET_SPEED}); ", end="")
         print(f"Dask {on_dask / pool:.2f} x the time of the pool (target {TARGET_DASK})")
         tables = {(folder / name / "fleet.parquet").read_bytes() for name in ("one0", "two0", "dask0")}
         print(f"the three tables are {'the same bytes' if len(tables) == 1 else 'DIFFERENT'}")
 
-        six, many = run(6, "2", "six"), run(48, "2", "many")
-        peer = timed([kincal(f"{fleet(folder, 6)}:hull_{k:03d}", "--store", folder / "peer") for k in range(6)], 2)
-        row("6 units, 2 workers", six)
-        row("6 units, one kincal each, two at a time", peer, f"{peer.seconds / six.seconds:.2f} x the time")
-        row("48 units, 2 workers", many)
-        first, more = (pool - six.seconds) / 18, (many.seconds - pool) / 24
+        first, more = (pool - few) / 18, (most - pool) / 24
         print(f"each robot more, from 6 to 24: {first:.2f} s, from 24 to 48: {more:.2f} s ({more / first:.2f} x)")
-        print(f"largest process {max(largest, many.memory) / 1e9:.2f} GB (target {TARGET_MEMORY / 1e9} GB)")
+        largest = max(found.memory for turn in turns for found in turn)
+        print(f"largest process {largest / 1e9:.2f} GB (target {TARGET_MEMORY / 1e9} GB)")
 
+        peer = timed([kincal(f"{fleet(folder, 6)}:hull_{k:03d}", "--store", folder / "peer") for k in range(6)], 2)
+        row("6 units, one kincal each, two at a time", peer, f"{peer.seconds / few:.2f} x the time of 2 workers")
         file, like, store = fleet(folder, 200), f"{fleet(folder, 24)}:hull_000", folder / "two0"
         timed([kincal(like, "--store", store, until="report")], 1)
         fill(references(file), like, Store(store))
