@@ -133,8 +133,8 @@ def parquet(file: Path) -> Iterator[tuple[ParquetFile, list[str]]]:
     pa.set_memory_pool(pa.system_memory_pool())
     with readable(file), bounded(file):
         schema = pq.read_schema(file)
+        _check_names(file, schema.names)
         plain = [field.name for field in schema if not pa.types.is_nested(field.type)]
-        _check_names(file, plain)
         texts = [name for name in plain if _is_text(schema.field(name).type)]
         # by default it reads ahead: as much memory as the file has bytes
         opened = pq.ParquetFile(file, buffer_size=1 << 20, pre_buffer=False, read_dictionary=texts)

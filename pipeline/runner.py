@@ -216,7 +216,11 @@ class Run:
         for *tables, key in PATHS:
             table = settings.get(tables[0], {}) if tables else settings
             if table.get(key) is not None:
-                files[".".join((*tables, key))] = file_digest(Path(table[key]))
+                name = ".".join((*tables, key))
+                try:
+                    files[name] = file_digest(Path(table[key]))
+                except InputError as error:
+                    raise InputError(f"{name}: {error}") from None
                 table[key] = "(file)"
         return {
             "stage": stage.name,

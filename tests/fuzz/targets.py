@@ -320,7 +320,7 @@ def _all_drawings() -> list[Files]:
 
 
 # What can't be put together is said of the table of robot.toml: `kincal run` names the robot before.
-_MECHANISM = ("robot.", "loop", "workspace", "mobility", "home", "actuated", "base_frame", "tool_frame")
+_MECHANISM = ("/case/", "loop", "workspace", "mobility", "home", "actuated", "base_frame", "tool_frame")
 _COLUMNS = b'x = { from = "position_x", unit = "mm" }\nleg1_slide = "leg_length_1"\npose = "number"\n'
 
 TARGETS: tuple[Target, ...] = (
