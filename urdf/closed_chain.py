@@ -137,7 +137,8 @@ def load_chain(mechanism: Mechanism, text: str, file: Path) -> ClosedChain:
             )
     base = _frame(model, mechanism.base_frame, "base_frame", file)
     if base[0] != BASE:
-        raise InputError(f"base_frame: {mechanism.base_frame!r} moves with joint {names[base[0]]!r}; allowed is fixed")
+        found = f"{mechanism.base_frame!r} moves with joint {names[base[0]]!r} of {file}"
+        raise InputError(f"base_frame: {found}; allowed is a frame that is fixed")
     tool = _frame(model, mechanism.tool_frame, "tool_frame", file)
     lower, upper = _limits(model)
     for j in np.flatnonzero(lower > upper):
@@ -193,7 +194,7 @@ def _loops(drawing: Drawing, mechanism: Mechanism, file: Path) -> list[DrawnLoop
         if loop.name in {other.name for other in loops[:k]}:
             raise InputError(f"loop {loop.name!r}: {file} closes a loop of that name itself; name it otherwise")
         if loop.joints[0] == loop.joints[1]:
-            raise InputError(f"loop {loop.name!r}: both frames sit on one body; it closes nothing")
+            raise InputError(f"loop {loop.name!r}: both frames sit on one body of {file}; it closes nothing")
     return loops
 
 
