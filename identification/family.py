@@ -63,6 +63,8 @@ def _judged(spread: np.ndarray, a: np.ndarray, x: np.ndarray, names: np.ndarray)
     n, r = a.shape
     a, x = a - np.median(a, axis=0), x - np.median(x, axis=0)
     pooled = np.sqrt(np.median(np.sum(a**2, axis=1)) / (2 * special.gammaincinv(r / 2, 0.5)))
+    if pooled == 0:  # most are copies of one unit: nothing tells how far apart sisters are
+        return [Membership(float(s), None, None, None, None) for s in spread]
     squared = np.sum((a / _sigmas(a, pooled)) ** 2, axis=1)
     freedom = _EFFICIENCY * (n - 1) * r
     p = special.fdtrc(r, freedom, squared / r)

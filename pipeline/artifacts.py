@@ -305,7 +305,7 @@ class Store:
 
     def note(self, file: Path, content: bytes) -> None:
         """Write what saves work or eases a look; a store that takes no more is no reason to withhold a result."""
-        if not (file.is_file() and file.read_bytes() == content):
+        if _content(file) != content:
             with contextlib.suppress(OSError), self._aside() as aside:
                 file.parent.mkdir(parents=True, exist_ok=True)
                 replace_file(file, content, aside)

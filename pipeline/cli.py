@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 from collections.abc import Callable
 from dataclasses import asdict
@@ -15,7 +16,7 @@ from pipeline import sea_commands, store_commands, study_commands
 from pipeline.console import err, out, print_json, print_table, short, show_comparison, show_inspection, show_table
 from pipeline.fleet_commands import compare_fleet, run_fleet
 from pipeline.options import COMMON, All, Common, Flag, From, Json, JsonInstead, On, Robot, opened
-from urdf.errors import CalibrationError, InputError, one_line
+from urdf.errors import CalibrationError, InputError, of_system, one_line
 
 if TYPE_CHECKING:
     from pipeline.runner import Run
@@ -66,7 +67,11 @@ def run(
             raise InputError("--force-from: allowed with one robot, in this process")
         run_fleet(robots, all, source, on, until, output, json, common)
         return
+    from pipeline.runner import needed
+
     session = opened(robots[0], common, force_from)
+    if force_from is not None and force_from not in (stage.name for stage in needed(until)):
+        raise InputError(f"--force-from {force_from}: --until {until} does not need that stage")
     if until != "report":
         (value,) = session.until(until)
         if json:
@@ -293,6 +298,10 @@ def _status(call: Callable[[], Any]) -> int:
     except BrokenPipeError:
         sys.stderr.close()
         return 0
+    except OSError as error:
+        if error.filename is None:  # the output: what it has not taken is not written once more at the end
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return _say(of_system(error), 2)
     return 0
 
 

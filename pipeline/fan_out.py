@@ -22,7 +22,7 @@ from pipeline.results import Comparison
 from pipeline.runner import Event, Run
 from pipeline.task_graph import Ahead, Job, Task, prefix_of, shared_tasks
 from urdf.description import RobotDescription, as_absolute
-from urdf.errors import CalibrationError, InputError
+from urdf.errors import CalibrationError, InputError, of_system
 from urdf.fleet import is_unit, load
 
 
@@ -206,6 +206,8 @@ def _outcome(future: Future[Outcome]) -> Outcome | Failure:
         return future.result()
     except (InputError, CalibrationError) as error:
         return Failure(error)
+    except OSError as error:  # a folder that may not be looked into, a name that is too long
+        return Failure(InputError(of_system(error)))
 
 
 def _all_after(k: int, unblocks: Mapping[int, Iterable[int]]) -> list[int]:

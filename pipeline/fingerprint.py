@@ -30,6 +30,7 @@ class Code:
     memo: dict[str, Facts] = field(default_factory=dict)
     used: dict[str, Facts] = field(default_factory=dict)
     _facts: dict[tuple[str, bool], Facts] = field(default_factory=dict)
+    _confirmed: set[str] = field(default_factory=set)  # modules that were imported as they had been digested
     _templates: dict[Path, list[Path]] = field(default_factory=dict)  # {folder of a package: all of its templates}
     _found: dict[tuple[str, str], dict[str, str]] = field(default_factory=dict)
 
@@ -49,6 +50,22 @@ class Code:
                 found[name], imports = self._of(name, whole=True)[_WHOLE]
                 queue += imports
         return dict(sorted(found.items()))
+
+    def edited(self, module: str, function: str) -> str | None:
+        """A module that the function names and that was edited after it had been digested: other code may have run.
+
+        Stages import what they need as they run. A module that is imported stays as it is: one look each is enough.
+        """
+        now = Code(self.root, self.memo)
+        for name in self.fingerprint(module, function):
+            if name in sys.modules and name not in self._confirmed:
+                try:
+                    if now._of(name, whole=True) != self._of(name, whole=True):
+                        return name
+                except SyntaxError:  # saved half done
+                    return name
+                self._confirmed.add(name)
+        return None
 
     def _of(self, module: str, whole: bool) -> Facts:
         if (module, whole) not in self._facts:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import errno
+import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,7 +13,7 @@ from pipeline.executor import Place, executor
 from pipeline.fan_out import Failure, Job, Observe, Outcome, files_of, portable, run_all
 from urdf.description import ROBOTS, Robot
 from urdf.errors import CalibrationError, InputError
-from urdf.fleet import as_reference, load, references
+from urdf.fleet import as_reference, is_unit, load, references
 
 
 @dataclass(frozen=True)
@@ -37,7 +39,9 @@ class Member:
 
     @property
     def name(self) -> str:
-        return self.reference if isinstance(self.robot, InputError) else self.robot.description.name
+        if isinstance(self.robot, InputError):
+            return self.reference.rpartition(":")[2] if is_unit(self.reference) else self.reference
+        return self.robot.description.name
 
 
 @dataclass(frozen=True)
@@ -77,10 +81,19 @@ def select(robots: Sequence[str], everything: bool, source: Path | None) -> Sele
     folder = ROBOTS if source is None else source.absolute()
     if folder.is_file():
         return Selection(folder.stem, tuple(references(folder)))
-    found = sorted(str(file) for file in folder.glob("*/robot.toml"))
+    found = sorted(os.path.join(part, "robot.toml") for part in folder.glob("*/") if not _lacks(part, "robot.toml"))
     if not found:
         raise InputError(f"--from {source}: neither a fleet file nor a folder of robots' folders, each with robot.toml")
     return Selection(folder.name, tuple(found))
+
+
+def _lacks(folder: Path, name: str) -> bool:
+    """One that may not be looked into fails later, by a row of its own."""
+    try:
+        os.lstat(folder / name)
+    except OSError as error:
+        return error.errno in (errno.ENOENT, errno.ENOTDIR)
+    return False
 
 
 def plan_fleet(chosen: Selection, overrides: Sequence[str], store: Path, until: str, command: str) -> list[Member]:

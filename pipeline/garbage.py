@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import shutil
 from collections.abc import Collection, Iterator
 from contextlib import contextmanager, suppress
@@ -13,6 +14,8 @@ from pathlib import Path
 from pipeline.artifacts import FREED, UNFINISHED, Store, digest, lock_folder, read_json
 
 ROBOT = "robot.json"  # of robots/ID: which robot.toml it is
+_KEY, _LOCK = re.compile(r"[0-9a-f]{40}"), re.compile(r".+-[0-9a-f]{32}\.lock")
+_TEMPORARY, _DAMAGED = re.compile(r"(seen-)?[0-9a-f]{32}"), re.compile(r".+-[0-9a-f]{12}-[0-9a-f]{8}")
 
 
 @dataclass(frozen=True)
@@ -45,9 +48,12 @@ class Garbage:
 
 def garbage(store: Store, *, unfinished: bool = False, gone: bool = False, keep_damaged: bool = False) -> Garbage:
     """All that no note refers to. unfinished: also what jobs made of studies that never came to their end; gone: also
-    robots whose robot.toml is not there any more, with all that they alone used."""
+    robots whose robot.toml is not there any more, with all that they alone used.
+
+    Raises OSError where the store can't be looked into: what is not seen may be referred to.
+    """
     # Before the notes: what is made and noted down from here on is not among them.
-    artifacts = [folder for stage in _listed(store.root / "artifacts") for folder in _listed(stage)]
+    artifacts = [folder for stage in _listed(store.root / "artifacts") for folder in _listed(stage, _KEY)]
     roots = _roots(store, without_gone=gone)
     named = roots.named | (set() if unfinished else roots.unfinished)
     found = []
@@ -61,9 +67,10 @@ def garbage(store: Store, *, unfinished: bool = False, gone: bool = False, keep_
         elif unfinished and (robot / UNFINISHED).is_dir():
             found.append(_removable("unfinished", robot / UNFINISHED))
     if not keep_damaged:
-        found += [_removable("damaged", folder) for folder in _listed(store.root / "damaged")]
-    found += [_removable("leftover", folder) for folder in _listed(store.root / "tmp") if _abandoned(folder)]
-    found += [_removable("lock", file) for file in _listed(store.root / "locks")]
+        found += [_removable("damaged", folder) for folder in _listed(store.root / "damaged", _DAMAGED)]
+    leftovers = _listed(store.root / "tmp", _TEMPORARY)
+    found += [_removable("leftover", folder) for folder in leftovers if _abandoned(folder)]
+    found += [_removable("lock", file) for file in _listed(store.root / "locks", _LOCK)]
     return Garbage(tuple(found), roots)
 
 
@@ -91,15 +98,15 @@ def _roots(store: Store, without_gone: bool) -> Roots:
     for robot in _listed(store.root / "robots"):
         described = read_json(robot / ROBOT)
         file = described.get("file") if isinstance(described, dict) else None
-        if isinstance(file, str) and not os.path.lexists(file):
+        if isinstance(file, str) and _gone(file):
             roots.gone[robot] = file
             if without_gone:
                 continue
         for name in _listed(robot / UNFINISHED):
             stage, _, key = name.name.partition("-")
             roots.unfinished.add((stage, key))
-        for note in sorted(robot.glob("*.json")):
-            if note.name != ROBOT:
+        for note in _listed(robot):
+            if note.suffix == ".json" and note.name != ROBOT:
                 _refer(store, note, roots)
     return roots
 
@@ -109,7 +116,7 @@ def _refer(store: Store, note: Path, roots: Roots) -> None:
     content = read_json(note)
     if isinstance(content, dict) and "references" in content:
         if content.pop("seal", None) == digest(content):
-            if os.path.lexists(content["made"]):  # else its table was thrown away
+            if not _gone(content["made"]):  # else its table was thrown away
                 roots.named.update((stage, key[:40]) for stage, key in content["references"])
             return
     elif isinstance(content, dict) and isinstance(content.get("key"), str):
@@ -136,10 +143,22 @@ def _size(file: Path) -> int:
     return 0
 
 
-def _listed(folder: Path) -> list[Path]:
-    with suppress(OSError):
-        return sorted(folder.iterdir())
+def _listed(folder: Path, name: re.Pattern[str] | None = None) -> list[Path]:
+    """What is in a folder, if there is one; of these names alone: the rest is not kincal's. Raises OSError."""
+    with suppress(FileNotFoundError, NotADirectoryError):
+        return sorted(path for path in folder.iterdir() if name is None or name.fullmatch(path.name))
     return []
+
+
+def _gone(file: str) -> bool:
+    """Whether a file is not there; one that may not be looked at is."""
+    try:
+        os.lstat(file)
+    except (FileNotFoundError, NotADirectoryError):
+        return True
+    except (OSError, ValueError):
+        return False
+    return False
 
 
 @contextmanager

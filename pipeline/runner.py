@@ -178,6 +178,7 @@ class Run:
                 for note in getattr(value, "warnings", ()):
                     self.observe(Event(stage.name, "noted", note))
                 seconds = time.perf_counter() - began
+                self._check_unchanged(stage, parts)
                 provenance = {
                     "robot": self.robot_id,
                     "command": self.command,
@@ -191,6 +192,13 @@ class Run:
         self.entries[stage.name] = found
         self.store.remember(self.robot_id, stage.name, key)
         self.observe(Event(stage.name, "ran", why, time.perf_counter() - began))
+
+    def _check_unchanged(self, stage: Stage, parts: Mapping[str, Any]) -> None:
+        """What the stage has read is what its key was made of. Raises InputError."""
+        edited = self.code.edited(stage.function.__module__, stage.name)
+        changed = f"the source of {edited} changed" if edited else change(parts, self.key_parts(stage))
+        if changed is not None:
+            raise InputError(f"{stage.name}: {changed} while it ran; nothing was stored: run it again")
 
     def _value(self, stage: Stage) -> Any:
         """A stage's result from the store; one that is damaged is set aside, and one that is gone is made again."""

@@ -17,6 +17,11 @@ class CalibrationError(RuntimeError):
         super().__init__(one_line(message))
 
 
+def of_system(error: OSError) -> str:
+    """What a system says of a file that it refuses."""
+    return f"{error.filename or 'the output'}: {error.strerror or error}"
+
+
 def one_line(message: str) -> str:
     """As a terminal may show it, whatever names and values a file holds: no control characters, the middle cut out."""
     if len(message) > 10 * _LONGEST:

@@ -128,9 +128,8 @@ def _unit(file: Path, name: str, overrides: Sequence[str]) -> Robot:
     except InputError as error:
         raise InputError(f"{file}: design: {error}") from None
     settings = [Setting(("name",), name, where)]
-    if unit.seed is not None:
-        settings.append(Setting(("measure", "seed"), unit.seed, f"{where}: seed"))
-    for table, said in ((fleet.set, f"{file}: set"), (unit.set, f"{where}: set")):
+    seed = {} if unit.seed is None else {"measure.seed": unit.seed}
+    for table, said in ((fleet.set, f"{file}: set"), (seed, f"{where}: seed"), (unit.set, f"{where}: set")):
         for keys, value in _leaves(table, said):
             if keys == ("name",):
                 raise InputError(f"{said}: name: a unit's name is the one of [[unit]]")

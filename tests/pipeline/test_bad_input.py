@@ -223,6 +223,7 @@ def test_column_maps(cli, finished, store, tmp_path, map):
         (["run"], ["robot"]),
         (["run", "ups3_s", "--until", "idenfity"], ["idenfity", "identify"]),
         (["run", "ups3_s", "--force-from", "idenfity"], ["idenfity", "identify"]),
+        (["run", "ups3_s", "--force-from", "report", "--until", "plan"], ["--force-from report", "--until plan"]),
         (["run", "ups3_s", "--set", "plan.poses"], ["--set", "table.key=value"]),
         (["run", "ups3_s", "--set", "=3"], ["--set", "table.key=value"]),
         (["run", "ups3_s", "--set", "plan.pose=12"], ["plan.pose", "'poses'"]),

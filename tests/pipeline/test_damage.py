@@ -148,7 +148,7 @@ def test_a_result_that_is_freed_time_and_again_is_made_again(clean, tmp_path, mo
 
 def test_nobody_begins_in_a_leftover_that_is_being_removed(tmp_path, monkeypatch):
     store = Store(tmp_path / "store")
-    leftover = tmp_path / "store" / "tmp" / "leftover"
+    leftover = tmp_path / "store" / "tmp" / ("0" * 32)
     leftover.mkdir(parents=True)
     remove, tried = garbage.shutil.rmtree, []
 

@@ -14,7 +14,7 @@ import pytest
 
 from benchmarks.small import QUICK
 from pipeline.executor import Place, WorkerDied, executor, place, threads_per_worker, undisturbed
-from pipeline.fan_out import Failure, Job, run_all, run_of
+from pipeline.fan_out import Failure, Job, Outcome, run_all, run_of
 from urdf.description import load_robot
 from urdf.errors import InputError
 
@@ -74,6 +74,17 @@ def test_a_worker_that_dies_costs_its_stage_alone(tmp_path, dies_once):
     with executor(Place(2), tmp_path) as workers:
         workers.submit(exec, dies_once(tmp_path)).result()
     assert (tmp_path / "passed").read_text() == "cached cached ran"
+
+
+@pytest.mark.parametrize("on", [1, 2])
+def test_a_job_whose_files_the_system_refuses_fails_alone(tmp_path, on):
+    good, bad = jobs(tmp_path, "model", ("plan.poses=12",), ("plan.poses=13",))
+    bad = replace(bad, store=tmp_path / ("a" * 300))
+    robots = [load_robot(job.robot, job.overrides).description for job in (good, bad)]
+    with executor(Place(on), tmp_path) as workers:
+        found, failed = run_all([good, replace(bad, until="plan")], robots, workers)
+    assert isinstance(found, Outcome)
+    assert "File name too long" in str(failed.error)
 
 
 def test_a_second_time_all_is_cached(tmp_path):

@@ -49,6 +49,22 @@ def test_comments_and_blank_lines_do_not_count(project, text):
     assert stages(project) == before
 
 
+def test_a_module_that_was_edited_before_it_was_imported(project):
+    """What ran was perhaps not what had been digested; comments are no edit, and later ones change nothing."""
+    code = Code(project, memo=dict(_memo()))
+    code.fingerprint("pipeline.stages", "identify")
+    file = project / "urdf" / "errors.py"
+    append(file, "\n# a comment\n")
+    assert code.edited("pipeline.stages", "identify") is None
+    append(file, "EDITED = 1\n")
+    assert code.edited("pipeline.stages", "identify") is None
+    code = Code(project, memo=dict(_memo()))
+    code.fingerprint("pipeline.stages", "identify")
+    for text in ("EDITED = 2\n", "def half(:\n"):
+        append(file, text)
+        assert code.edited("pipeline.stages", "identify") == "urdf.errors"
+
+
 def test_docstrings_do_not_count(project):
     before = stages(project)
     edited = 0

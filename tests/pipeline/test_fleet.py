@@ -39,9 +39,10 @@ def test_what_a_unit_sets_goes_over_the_fleet_and_the_design(tmp_path, robot_fol
         [set]
         "plan.poses" = 12
         pretrain = { iterations = 15, continued = 3 }
+        measure.seed = 8
         [[unit]]
         name = "virtual"
-        seed = 3
+        seed = 3 # over the fleet's
         [[unit]]
         name = "measured"
         set = { plan.poses = 13, "measure.table" = "a.csv" }
@@ -54,6 +55,7 @@ def test_what_a_unit_sets_goes_over_the_fleet_and_the_design(tmp_path, robot_fol
     assert virtual.description.pretrain.hidden == 16  # robot.toml's other keys stay
     assert virtual.description.measure.seed == 3
     assert measured.description.measure.table == tmp_path / "a.csv"
+    assert measured.description.measure.seed == 8
     assert (virtual.description.measure.virtual, measured.description.measure.virtual) == (True, False)
     assert load(f"{file}:measured", ["plan.poses=14"]).description.plan.poses == 14
     ids = {Run(robot, None).robot_id for robot in (virtual, measured, load(str(robot_folder)))}
@@ -106,6 +108,8 @@ def test_what_a_fleet_file_refuses(tmp_path, text, said):
         (("ups3_s", "rps"), "did you mean 'rps3'?"),
         (("{a=" * 300 + ":b",), "neither a file nor a shipped robot"),
         (("fleet.toml:b",), "fleet.toml: no unit 'b'; allowed: a"),
+        (("--all", "--from", "a" * 5000), "File name too long"),
+        (("--all", "--from", "fleet.toml", "--store", "a" * 5000), "File name too long"),
         (("fleet.toml",), "a fleet, not a robot: --all --from fleet.toml"),
         (("--all", "--from", "fleet.toml", "--until", "mesure"), "'mesure' does not exist"),
         (("--all", "--from", "fleet.toml", "--force-from", "plan"), "--force-from: allowed with one robot"),
@@ -185,6 +189,16 @@ def test_spread_is_one_where_errors_are_as_tolerated():
 
 def test_few_units_are_no_family():
     assert {m.out_of_family for m in memberships(identified(4, 0, wild=9.0))} == {None}
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("copies, judged", [(3, True), (4, False), (6, False)])
+def test_copies_of_one_unit_are_no_family(copies, judged):
+    """Where most are the same, nothing tells how far apart sisters are."""
+    units = identified(6, 0)
+    found = memberships([units[0]] * copies + units[copies:])
+    assert {m.out_of_family is not None for m in found} == {judged}
+    assert {m.distance is not None for m in found} == {judged}
 
 
 # From end to end

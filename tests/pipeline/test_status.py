@@ -5,6 +5,7 @@ import json
 import pytest
 
 from pipeline.runner import all_stages, explain, needed
+from urdf.errors import InputError
 
 
 def rows(run) -> dict[str, tuple[str, str]]:
@@ -66,6 +67,25 @@ def test_a_changed_table_is_named(start, store, finished, tmp_path):
     assert rows(start(store, *settings)[0])["measure"] == ("fresh", "")
     finished.table.head(11).to_csv(table, index=False)
     assert rows(start(store, *settings)[0])["measure"] == ("stale", "file measure.table changed")
+
+
+def test_a_table_that_changes_while_it_is_read_is_refused(start, store, finished, tmp_path):
+    """Its key would be that of the file as it was."""
+    table = tmp_path / "table.csv"
+    finished.table.to_csv(table, index=False)
+    before = set((store / "artifacts" / "measure").iterdir())
+    run, _ = start(store, "plan.poses=12", "measure.source=files", f"measure.table={table}")
+
+    def replace(event):
+        if (event.stage, event.state) == ("measure", "running"):
+            finished.table.head(11).to_csv(table, index=False)
+
+    run.observe = replace
+    with pytest.raises(InputError, match=r"measure: file measure\.table changed while it ran; nothing was stored"):
+        run.until("measure")
+    assert set((store / "artifacts" / "measure").iterdir()) == before
+    (measured,) = run.until("measure")  # the file as it is now
+    assert len(measured.table) == 11
 
 
 def test_changed_code_is_named(kincal, start, store, tmp_path, copy_project):

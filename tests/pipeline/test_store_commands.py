@@ -114,9 +114,34 @@ def test_gc_keeps_what_a_sweep_used_while_its_table_is_there(cli, finished, stor
     assert {Path(m).parent.name for m in made} == {"compensate", "evaluate"}
     freed(store)
     assert artifacts(store) == before | made
+    (tmp_path / "out").rename(tmp_path / "away")
+    (tmp_path / "out").symlink_to("out")  # who may not look does not know
+    freed(store)
+    assert artifacts(store) == before | made
+    (tmp_path / "out").unlink()
+    (tmp_path / "away").rename(tmp_path / "out")
     (tmp_path / "out" / "sweep.parquet").unlink()
     freed(store)
     assert artifacts(store) == before
+
+
+def test_gc_frees_nothing_where_notes_can_not_be_read(cli, store):
+    before = artifacts(store)
+    (store / "robots").rename(store / "elsewhere")
+    (store / "robots").symlink_to("robots")  # for root, too, a folder that can't be listed
+    answer = cli("gc", "--store", store)
+    assert (answer.status, answer.err.count("\n")) == (2, 1)
+    assert f"{store / 'robots'}: " in answer.err
+    assert artifacts(store) == before
+
+
+def test_gc_leaves_what_is_not_of_kincal(cli, tmp_path):
+    files = [tmp_path / "yard" / name for name in ("artifacts/a/b/c.csv", "tmp/a/b", "locks/keys.txt", "damaged/a/b")]
+    for file in files:
+        file.parent.mkdir(parents=True)
+        file.touch()
+    assert cli("gc", "--store", tmp_path / "yard").out == "freed 0 (nothing), 0 bytes\n"
+    assert all(file.exists() for file in files)
 
 
 def test_gc_keeps_what_jobs_have_made_of_an_unfinished_sweep(store):
