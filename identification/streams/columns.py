@@ -45,7 +45,7 @@ def values(raw: pd.DataFrame, columns: dict[str, Column]) -> pd.DataFrame:
     for name, column in columns.items():
         written = pd.Series(raw[column.source])
         read = floats(written)
-        with np.errstate(over="ignore"):  # of numbers that are too large anyway
+        with np.errstate(over="ignore", invalid="ignore"):  # of numbers that are too large, or none
             found[name] = (times(written, read) if name == "t" else read) * UNITS[column.unit]
     return pd.DataFrame(found)
 
@@ -59,7 +59,7 @@ def times(written: pd.Series, values: np.ndarray) -> np.ndarray:
     except UnicodeDecodeError:  # bytes, of Parquet
         return values
     stamps = pd.to_datetime(text, utc=True, errors="coerce", format="ISO8601")
-    seconds = (stamps - pd.Timestamp(0, tz="UTC")).dt.total_seconds().to_numpy(float)
+    seconds = (stamps - pd.Timestamp("1970-01-01", tz="UTC")).dt.total_seconds().to_numpy(float)
     return np.where(np.isfinite(values), values, seconds)
 
 

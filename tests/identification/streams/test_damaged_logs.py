@@ -1,6 +1,7 @@
 """What is wrong with a log is counted and survived, mostly garbage is refused: counts against what was done."""
 
 import tracemalloc
+import warnings
 
 import numpy as np
 import pandas as pd
@@ -9,8 +10,9 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from identification.streams import tables
+from identification.streams.columns import times, values
 from identification.streams.reading import open_stream, read_log
-from urdf.description import Log, Measure
+from urdf.description import Column, Log, Measure
 from urdf.errors import InputError
 
 FAULTS = ("garbage", "checksum", "untimed", "not_finite", "jumped", "repeated", "backwards", "frozen")
@@ -63,6 +65,23 @@ def test_iso_times(tmp_path):
     stamps = pd.to_datetime(1.7e9 + frame["t"], unit="s", utc=True)
     samples, _ = read(frame.assign(t=stamps.map(lambda stamp: stamp.isoformat())), tmp_path)
     np.testing.assert_allclose(samples["t"], 1.7e9 + frame["t"], atol=1e-6)
+
+
+def test_years_before_nanoseconds_count():
+    """64 bits of nanoseconds begin in 1677; 1600 was 370 years, 90 leap days among them, before 1970."""
+    written = pd.Series(["1600-01-01T00:00:00Z", "1970-01-01T00:00:01.5Z", "no time"])
+    seconds = times(written, np.full(3, np.nan))
+    np.testing.assert_array_equal(seconds, [-(370 * 365 + 90) * 86400.0, 1.5, np.nan])
+
+
+def test_a_number_that_signals_is_none():
+    bits = np.array([0x7FF0000000000001], dtype=np.uint64)  # as a spoiled byte may leave it
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        found = values(
+            pd.DataFrame({"t": bits.view(float)}), {"roll": Column.model_validate({"from": "t", "unit": "deg"})}
+        )
+    assert np.isnan(found["roll"]).all()
 
 
 def test_a_gap_and_repeats(tmp_path):
