@@ -68,8 +68,10 @@ def timed(commands: Sequence[Sequence[str | Path]], at_once: int, watched: Seque
     watcher.start()
     while waiting or running:
         while waiting and len(running) < at_once:
-            quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.PIPE}
-            running.append(subprocess.Popen(waiting.pop(0), env=_ENVIRONMENT, **quiet))
+            command = waiting.pop(0)
+            running.append(
+                subprocess.Popen(command, env=_ENVIRONMENT, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE)
+            )
         ended = next((p for p in running if p.poll() is not None), None)
         if ended is None:
             time.sleep(0.01)

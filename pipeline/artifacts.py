@@ -393,7 +393,7 @@ def lock_folder(folder: Path, wait: bool = True) -> int:
     return descriptor
 
 
-@lru_cache
+@lru_cache(maxsize=1)
 def _memo(text: bytes | None) -> Mapping[str, Any]:
     sealed = _parsed(text)
     return sealed["memo"] if isinstance(sealed, dict) and _fits(sealed.get("seal"), sealed.get("memo")) else {}

@@ -202,7 +202,7 @@ def _begin(n_threads: int) -> None:
     """Before numpy or torch are imported, which read their number of threads once."""
     bound_threads(n_threads)
     keep_freed_memory()
-    atexit.register(os._exit, 0)  # after all else: torch would take half a second to tidy up what ends anyway
+    atexit.register(os._exit, 0)  # torch would take half a second to tidy up what ends anyway
     threading.Thread(target=_outlive_nobody, daemon=True).start()
 
 

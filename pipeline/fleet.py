@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import errno
-import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,6 +12,7 @@ from pipeline.fan_out import Failure, Job, Observe, Outcome, files_of, portable,
 from urdf.description import ROBOTS, Robot
 from urdf.errors import CalibrationError, InputError
 from urdf.fleet import as_reference, is_unit, load, references
+from urdf.input_files import is_missing
 
 
 @dataclass(frozen=True)
@@ -81,19 +80,11 @@ def select(robots: Sequence[str], everything: bool, source: Path | None) -> Sele
     folder = ROBOTS if source is None else source.absolute()
     if folder.is_file():
         return Selection(folder.stem, tuple(references(folder)))
-    found = sorted(os.path.join(part, "robot.toml") for part in folder.glob("*/") if not _lacks(part, "robot.toml"))
+    # One that may not be looked into fails later, by a row of its own.
+    found = sorted(str(file) for part in folder.glob("*/") if not is_missing(file := part / "robot.toml"))
     if not found:
         raise InputError(f"--from {source}: neither a fleet file nor a folder of robots' folders, each with robot.toml")
     return Selection(folder.name, tuple(found))
-
-
-def _lacks(folder: Path, name: str) -> bool:
-    """One that may not be looked into fails later, by a row of its own."""
-    try:
-        os.lstat(folder / name)
-    except OSError as error:
-        return error.errno in (errno.ENOENT, errno.ENOTDIR)
-    return False
 
 
 def plan_fleet(chosen: Selection, overrides: Sequence[str], store: Path, until: str, command: str) -> list[Member]:

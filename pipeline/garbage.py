@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from pipeline.artifacts import FREED, UNFINISHED, Store, digest, lock_folder, read_json
+from urdf.input_files import is_missing
 
 ROBOT = "robot.json"  # of robots/ID: which robot.toml it is
 _KEY, _LOCK = re.compile(r"[0-9a-f]{40}"), re.compile(r".+-[0-9a-f]{32}\.lock")
@@ -98,7 +99,7 @@ def _roots(store: Store, without_gone: bool) -> Roots:
     for robot in _listed(store.root / "robots"):
         described = read_json(robot / ROBOT)
         file = described.get("file") if isinstance(described, dict) else None
-        if isinstance(file, str) and _gone(file):
+        if isinstance(file, str) and is_missing(file):
             roots.gone[robot] = file
             if without_gone:
                 continue
@@ -116,7 +117,7 @@ def _refer(store: Store, note: Path, roots: Roots) -> None:
     content = read_json(note)
     if isinstance(content, dict) and "references" in content:
         if content.pop("seal", None) == digest(content):
-            if not _gone(content["made"]):  # else its table was thrown away
+            if not is_missing(content["made"]):  # else its table was thrown away
                 roots.named.update((stage, key[:40]) for stage, key in content["references"])
             return
     elif isinstance(content, dict) and isinstance(content.get("key"), str):
@@ -148,17 +149,6 @@ def _listed(folder: Path, name: re.Pattern[str] | None = None) -> list[Path]:
     with suppress(FileNotFoundError, NotADirectoryError):
         return sorted(path for path in folder.iterdir() if name is None or name.fullmatch(path.name))
     return []
-
-
-def _gone(file: str) -> bool:
-    """Whether a file is not there; one that may not be looked at is."""
-    try:
-        os.lstat(file)
-    except (FileNotFoundError, NotADirectoryError):
-        return True
-    except (OSError, ValueError):
-        return False
-    return False
 
 
 @contextmanager

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 import stat
 import tomllib
@@ -33,6 +34,17 @@ def check_file(file: Path, largest: int | None = None) -> None:
         raise InputError(f"{file}: can't be read: it is a pipe or a device; allowed are files")
     if largest is not None and found.st_size > largest:
         raise InputError(f"{file}: {found.st_size} bytes; allowed are {largest}")
+
+
+def is_missing(file: str | Path) -> bool:
+    """Whether a file is certainly not there: of one that may not be looked at nobody knows."""
+    try:
+        os.lstat(file)
+    except (FileNotFoundError, NotADirectoryError):
+        return True
+    except (OSError, ValueError):
+        pass
+    return False
 
 
 def unreadable(file: Path, error: OSError | ValueError) -> InputError:

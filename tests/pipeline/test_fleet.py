@@ -134,6 +134,15 @@ def test_a_folder_of_robots(cli, tmp_path, robot_folder):
     assert cli("status", "fleet/one").out.splitlines()[1].split() == ["model", "fresh"]
 
 
+def test_a_robot_of_a_folder_that_can_not_be_read_is_a_row(cli, tmp_path, robot_folder):
+    (tmp_path / "fleet" / "two").mkdir(parents=True)
+    robot_folder.rename(tmp_path / "fleet" / "one")
+    (tmp_path / "fleet" / "two" / "robot.toml").symlink_to("robot.toml")  # for root, too
+    answer = cli("run", "--all", "--from", "fleet", "--until", "model")
+    assert (answer.status, len(answer.out.splitlines())) == (1, 3)
+    assert "1 of 2 robots failed" in answer.err
+
+
 # Which unit is out of family
 
 
