@@ -11,9 +11,9 @@ import tempfile
 from pathlib import Path
 
 from benchmarks.setup import spread
-from pipeline.artifacts import Store
-from pipeline.runner import Run
-from urdf.description import load_robot
+from kincal.pipeline.run.runner import Run
+from kincal.pipeline.store.store import Store
+from kincal.urdf.description import load_robot
 
 SEEDS = range(10)
 GEOMETRIC = ["measure.errors.elastic=false", "measure.errors.screw=false"]

@@ -19,15 +19,15 @@ from typing import Literal
 import numpy as np
 from scipy.constants import g
 
-from identification.attitude.filter import filter_attitude
-from identification.attitude.presets import PRESETS
-from identification.attitude.settings import AttitudeEstimate, AttitudeSettings, Samples
-from identification.attitude.smoother import smooth_attitude
-from pipeline.sea.instruments import sensed
-from pipeline.sea.settings import Seaway
-from pipeline.sea.ship_motion import ShipMotion
-from pipeline.sea.synthesis import generated, rao_of
-from urdf.rigid_motion import from_zyx_angles
+from kincal.identification.attitude.filter import filter_attitude
+from kincal.identification.attitude.presets import PRESETS
+from kincal.identification.attitude.settings import AttitudeEstimate, AttitudeSettings, Samples
+from kincal.identification.attitude.smoother import smooth_attitude
+from kincal.pipeline.sea.instruments import sensed
+from kincal.pipeline.sea.settings import Seaway
+from kincal.pipeline.sea.ship_motion import ShipMotion
+from kincal.pipeline.sea.synthesis import generated, rao_of
+from kincal.urdf.rigid_motion import from_zyx_angles
 
 RATE_HZ = 50.0
 TIMES, WINDOW_S = (60, 120, 300), 30

@@ -11,11 +11,11 @@ import time
 
 _OWN = """
 import time
-import pipeline.cli
+import kincal.pipeline.commands.app
 from pathlib import Path
-from pipeline.artifacts import Store
-from pipeline.runner import Run
-from urdf.description import load_robot
+from kincal.pipeline.store.store import Store
+from kincal.pipeline.run.runner import Run
+from kincal.urdf.description import load_robot
 robot = load_robot("ups3_s")
 began = time.perf_counter()
 Run(robot, Store(Path(".kincal"))).until("evaluate", "report")
@@ -46,7 +46,7 @@ def _seconds_of_the_cache(folder: str) -> float:
 
 
 def _run(arguments: list[str], folder: str) -> tuple[float, float]:
-    command = [sys.executable, "-m", "pipeline.cli", *arguments]
+    command = [sys.executable, "-m", "kincal", *arguments]
     began = time.perf_counter()
     process = subprocess.Popen(command, cwd=folder, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
     _, status, usage = os.wait4(process.pid, 0)

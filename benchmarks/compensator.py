@@ -14,18 +14,18 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.timing import median_seconds
-from identification.compiled import build, find_compiler
-from identification.measurements import quaternions
-from pipeline.artifacts import Store
-from pipeline.compensator import Compensator
-from pipeline.compensator_code import sources
-from pipeline.methods import HybridMethod, ModelMethod
-from pipeline.queries import shipped
-from pipeline.runner import Run
-from urdf.description import load_robot
-from urdf.kinematics import inverse
-from urdf.rigid_motion import Motion
-from urdf.workspace import bounds, sample
+from kincal.identification.compiled import build, find_compiler
+from kincal.identification.measurements import quaternions
+from kincal.pipeline.compensator.code import sources
+from kincal.pipeline.compensator.compensator import Compensator
+from kincal.pipeline.interface.queries import shipped
+from kincal.pipeline.methods.predictors import HybridMethod, ModelMethod
+from kincal.pipeline.run.runner import Run
+from kincal.pipeline.store.store import Store
+from kincal.urdf.description import load_robot
+from kincal.urdf.kinematics import inverse
+from kincal.urdf.rigid_motion import Motion
+from kincal.urdf.workspace import bounds, sample
 
 ROBOTS = ("ups3_s", "gough_stewart")
 _OPTIONS = ("-O3", "-std=c99")

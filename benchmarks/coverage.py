@@ -14,12 +14,12 @@ import scipy.linalg
 from scipy.special import ndtri
 
 from benchmarks.setup import Bench, bench, spread
-from identification.estimators import Estimate, identify, register
-from identification.expected import Sites, expected
-from identification.identifiability import FLAT_SCALE, identifiability
-from identification.measurements import Measurements
-from urdf.description import Identify
-from urdf.errors import CalibrationError, InputError
+from kincal.identification.estimators import Estimate, identify, register
+from kincal.identification.expected import Sites, expected
+from kincal.identification.identifiability import FLAT_SCALE, identifiability
+from kincal.identification.measurements import Measurements
+from kincal.urdf.description import Identify
+from kincal.urdf.errors import CalibrationError, InputError
 
 LOSSES = ("gaussian", "huber", "cauchy")
 CHANNELS = (("orientation",), ("tilt",))

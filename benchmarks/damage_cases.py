@@ -17,12 +17,12 @@ from itertools import count
 from pathlib import Path
 from typing import Any
 
-from benchmarks.damage import Clean, Found, finish, whole
+from benchmarks.damage_store import Clean, Found, finish, whole
 from benchmarks.small import QUICK
-from pipeline.artifacts import Store
-from pipeline.fingerprint import PACKAGES, ROOT, Code
-from pipeline.garbage import free, garbage
-from urdf.errors import InputError
+from kincal.pipeline.run.fingerprint import PACKAGES, ROOT, Code
+from kincal.pipeline.store.garbage import free, garbage
+from kincal.pipeline.store.store import Store
+from kincal.urdf.errors import InputError
 
 Cases = Iterator[tuple[str, Found]]
 
@@ -349,7 +349,7 @@ def comments(clean: Clean, folder: Path) -> Cases:
         file.write_text(text)
 
 
-_CHANGES = (("identification/accuracy.py", "orientation_error"),)
+_CHANGES = (("kincal/identification/accuracy.py", "orientation_error"),)
 _DOUBLED = """
 
 _plain_{name} = {name}
@@ -372,7 +372,7 @@ def helpers(clean: Clean, folder: Path) -> Cases:
         said = []
         for store in (shutil.copytree(clean.store, folder / "old"), folder / "new"):
             sets = [part for setting in QUICK for part in ("--set", setting)]
-            command = [sys.executable, "-m", "pipeline.cli", "run", str(root / "urdf/robots/ups3_s"), *sets]
+            command = [sys.executable, "-m", "kincal", "run", str(root / "kincal/urdf/robots/ups3_s"), *sets]
             environment = os.environ | {"PYTHONPATH": str(root), "PYTHONDONTWRITEBYTECODE": "1"}
             subprocess.run([*command, "--store", store], env=environment, cwd=folder, capture_output=True, check=False)
             manifests = (folder / store).glob("artifacts/evaluate/*/value.json")

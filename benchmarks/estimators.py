@@ -13,17 +13,17 @@ from dataclasses import dataclass
 import numpy as np
 
 from benchmarks.setup import Bench, bench, spread
-from identification.accuracy import score
-from identification.collinearity import collinearity
-from identification.error_model import BuiltRobot
-from identification.estimators import identify, register
-from identification.expected import Sites
-from identification.identifiability import identifiability
-from identification.measurements import Measurements
-from identification.shrinkage import N_FRAMES, Linear, identifiable
-from urdf.description import Identify
-from urdf.errors import CalibrationError, InputError
-from urdf.rigid_motion import exp
+from kincal.identification.accuracy import score
+from kincal.identification.collinearity import collinearity
+from kincal.identification.error_model import BuiltRobot
+from kincal.identification.estimators import identify, register
+from kincal.identification.expected import Sites
+from kincal.identification.identifiability import identifiability
+from kincal.identification.measurements import Measurements
+from kincal.identification.shrinkage import N_FRAMES, Linear, identifiable
+from kincal.urdf.description import Identify
+from kincal.urdf.errors import CalibrationError, InputError
+from kincal.urdf.rigid_motion import exp
 
 FRESH = 200
 OUTLIERS = 0.05  # share of the poses

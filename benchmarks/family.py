@@ -13,11 +13,11 @@ from types import SimpleNamespace
 import numpy as np
 
 from benchmarks.setup import spread
-from identification.family import memberships
-from identification.identification import Identification
-from pipeline.artifacts import Store
-from pipeline.runner import Run
-from urdf.description import load_robot
+from kincal.identification.family import memberships
+from kincal.identification.identification import Identification
+from kincal.pipeline.run.runner import Run
+from kincal.pipeline.store.store import Store
+from kincal.urdf.description import load_robot
 
 CASES = (
     ("gough_stewart", ("plan.poses=60",)),

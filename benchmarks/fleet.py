@@ -20,9 +20,11 @@ from pathlib import Path
 import numpy as np
 import psutil
 
-from pipeline.artifacts import Store, digest
-from pipeline.runner import Run, all_stages
-from urdf.fleet import load, references
+from kincal.pipeline.run.runner import Run
+from kincal.pipeline.run.stage import all_stages
+from kincal.pipeline.store.digests import digest
+from kincal.pipeline.store.store import Store
+from kincal.urdf.fleet import load, references
 
 SETTINGS = """
 [set]
@@ -102,7 +104,7 @@ def fill(references: Sequence[str], like: str, store: Store) -> None:
 
 
 def kincal(*arguments: str | Path, until: str = "evaluate") -> list[str | Path]:
-    return [sys.executable, "-m", "pipeline.cli", "run", *arguments, "--until", until]
+    return [sys.executable, "-m", "kincal", "run", *arguments, "--until", until]
 
 
 def row(what: str, found: Timed, note: str = "") -> None:

@@ -20,9 +20,9 @@ from scipy.optimize import least_squares
 from benchmarks.pinocchio_peer import residuals, solve
 from benchmarks.setup import bench, measured_robot
 from benchmarks.timing import median_seconds, row
-from identification.error_model import ErrorModel
-from identification.estimators import Estimate, identify, register
-from identification.measurements import Measurements
+from kincal.identification.error_model import ErrorModel
+from kincal.identification.estimators import Estimate, identify, register
+from kincal.identification.measurements import Measurements
 
 ROBOTS = ("ups3_s", "gough_stewart", "jugglebot", "ur10")
 POSES = 150

@@ -8,7 +8,7 @@ from scipy.optimize import root
 
 from benchmarks.setup import grid, measured_robot
 from benchmarks.timing import median_seconds, row
-from urdf.kinematics import forward, inverse
+from kincal.urdf.kinematics import forward, inverse
 
 
 def main() -> None:

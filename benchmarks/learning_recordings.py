@@ -36,23 +36,23 @@ from sklearn.preprocessing import PolynomialFeatures, StandardScaler
 
 from benchmarks import ur10_recording
 from benchmarks.setup import spread
-from identification.accuracy import orientation_error, score
-from identification.error_model import ErrorModel
-from identification.estimators import identify, register
-from identification.measurements import Measurements, to_measurements
-from identification.summary import summarise
-from learning.units import Inherited
-from pipeline import stages
-from pipeline.artifacts import Store
-from pipeline.correct import corrected
-from pipeline.learn import learned, pretrained, source_task
-from pipeline.methods import METHODS, Method, ModelMethod, build
-from pipeline.refit import refitted
-from pipeline.results import Fit, Identified, Pretrained, SourceTask
-from pipeline.runner import Run
-from urdf.description import ROBOTS, load_robot
-from urdf.errors import CalibrationError, InputError
-from urdf.rigid_motion import Motion, exp
+from kincal.identification.accuracy import orientation_error, score
+from kincal.identification.error_model import ErrorModel
+from kincal.identification.estimators import identify, register
+from kincal.identification.measurements import Measurements, to_measurements
+from kincal.identification.summary import summarise
+from kincal.learning.units import Inherited
+from kincal.pipeline.methods.networks import learned, pretrained, source_task
+from kincal.pipeline.methods.predictors import METHODS, Method, ModelMethod, build
+from kincal.pipeline.methods.refit import refitted
+from kincal.pipeline.methods.residual_network import corrected
+from kincal.pipeline.results import Fit, Identified, Pretrained, SourceTask
+from kincal.pipeline.run.runner import Run
+from kincal.pipeline.stages import correction, drawing
+from kincal.pipeline.store.store import Store
+from kincal.urdf.description import ROBOTS, load_robot
+from kincal.urdf.errors import CalibrationError, InputError
+from kincal.urdf.rigid_motion import Motion, exp
 
 JUGGLEBOT = ur10_recording.DATA.parent / "jugglebot" / "calibration_108.csv"
 SERIES = {name.partition(",")[0]: name for name in ur10_recording.SERIES}  # C, D
@@ -279,8 +279,8 @@ def _prior(
 def _siblings() -> Inherited:
     """Of the arm in the workspace of recorded.toml."""
     description = load_robot(str(ROBOTS / "ur10" / "recorded.toml")).description
-    drawn = stages.model(description.mechanism, Path(description.urdf))
-    return stages.siblings(drawn, description.siblings, description.tolerance, description.actuator).inherited
+    drawn = drawing.model(description.mechanism, Path(description.urdf))
+    return correction.siblings(drawn, description.siblings, description.tolerance, description.actuator).inherited
 
 
 def _peers(geometric: Method, train: Measurements, seed: int) -> tuple[dict[str, Method | str], dict[str, float]]:

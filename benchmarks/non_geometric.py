@@ -18,10 +18,10 @@ import statistics
 import tempfile
 from pathlib import Path
 
-from pipeline.artifacts import Store
-from pipeline.results import Comparison
-from pipeline.runner import Run
-from urdf.description import load_robot
+from kincal.pipeline.results import Comparison
+from kincal.pipeline.run.runner import Run
+from kincal.pipeline.store.store import Store
+from kincal.urdf.description import load_robot
 
 FIRST_SEED = 200
 ALONE = ('measure.channels=["orientation"]', "plan.poses=150")

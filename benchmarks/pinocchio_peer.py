@@ -10,9 +10,9 @@ import numpy as np
 import pinocchio as pin
 from scipy.optimize import OptimizeResult, least_squares
 
-from identification.error_model import ErrorModel
-from identification.estimators import Estimate
-from identification.measurements import Measurements
+from kincal.identification.error_model import ErrorModel
+from kincal.identification.estimators import Estimate
+from kincal.identification.measurements import Measurements
 
 _FLAT_SCALE = 1e-2  # of W and T [m, rad], as kincal has it
 _CLOSED = 1e-13  # [m, rad]

@@ -12,15 +12,15 @@ from pathlib import Path
 
 import numpy as np
 
-from identification.accuracy import Score, score
-from identification.estimators import identify
-from identification.expected import all_feasible
-from identification.measurements import to_measurements, to_table
-from pipeline.planning import LAYOUTS, MOST, Planner, planner
-from pipeline.stages import model
-from pipeline.virtual_robot import draw, measure
-from urdf.description import Layout, VirtualErrors, load_robot
-from urdf.workspace import sample
+from kincal.identification.accuracy import Score, score
+from kincal.identification.estimators import identify
+from kincal.identification.expected import all_feasible
+from kincal.identification.measurements import to_measurements, to_table
+from kincal.pipeline.planning.layouts import LAYOUTS, MOST, Planner, planner
+from kincal.pipeline.stages.drawing import model
+from kincal.pipeline.virtual.robot import draw, measure
+from kincal.urdf.description import Layout, VirtualErrors, load_robot
+from kincal.urdf.workspace import sample
 
 ROBOTS = 24
 COUNTS = (10, 20, 50)

@@ -16,21 +16,21 @@ import numpy as np
 from scipy.stats import chi2
 
 from benchmarks.setup import Bench, bench, spread
-from identification.accuracy import orientation_error
-from identification.estimators import identify, register
-from identification.expected import of_one_row
-from identification.measurements import Measurements, to_measurements, to_table
-from identification.poses import planned
-from learning.units import Inherited
-from pipeline import stages
-from pipeline.correct import corrected
-from pipeline.methods import HybridMethod, ModelMethod, build
-from pipeline.results import Fit
-from pipeline.spread import pose_covariance, radius
-from pipeline.virtual_robot import VirtualRobot, draw, measure
-from urdf.description import Channel, Identify, Plan, Sensor, VirtualErrors, load_robot
-from urdf.errors import CalibrationError, InputError
-from urdf.kinematics import inverse
+from kincal.identification.accuracy import orientation_error
+from kincal.identification.estimators import identify, register
+from kincal.identification.expected import of_one_row
+from kincal.identification.measurements import Measurements, to_measurements, to_table
+from kincal.identification.poses import planned
+from kincal.learning.units import Inherited
+from kincal.pipeline.methods.covariance import pose_covariance, radius
+from kincal.pipeline.methods.predictors import HybridMethod, ModelMethod, build
+from kincal.pipeline.methods.residual_network import corrected
+from kincal.pipeline.results import Fit
+from kincal.pipeline.stages import correction, drawing
+from kincal.pipeline.virtual.robot import VirtualRobot, draw, measure
+from kincal.urdf.description import Channel, Identify, Plan, Sensor, VirtualErrors, load_robot
+from kincal.urdf.errors import CalibrationError, InputError
+from kincal.urdf.kinematics import inverse
 
 FRESH, HELD = 200, 0.95
 FIRST = 1000  # seed of the first robot
@@ -160,8 +160,8 @@ def _sensor(case: Case) -> Sensor:
 
 def _siblings(robot: str) -> Inherited:
     given = load_robot(robot).description
-    drawn = stages.model(given.mechanism, Path(given.urdf))
-    return stages.siblings(drawn, given.siblings, given.tolerance, given.actuator).inherited
+    drawn = drawing.model(given.mechanism, Path(given.urdf))
+    return correction.siblings(drawn, given.siblings, given.tolerance, given.actuator).inherited
 
 
 if __name__ == "__main__":

@@ -16,12 +16,12 @@ import numpy as np
 import scipy.linalg
 
 from benchmarks.setup import Bench, bench, spread
-from identification.accuracy import gravity_error, orientation_error
-from identification.error_model import BuiltRobot
-from identification.estimators import identify
-from identification.expected import Sites
-from identification.measurements import Measurements
-from urdf.errors import CalibrationError, InputError
+from kincal.identification.accuracy import gravity_error, orientation_error
+from kincal.identification.error_model import BuiltRobot
+from kincal.identification.estimators import identify
+from kincal.identification.expected import Sites
+from kincal.identification.measurements import Measurements
+from kincal.urdf.errors import CalibrationError, InputError
 
 COUNTS = (10, 20, 50, 150)
 FRESH = 100

@@ -12,15 +12,15 @@ from typing import Any
 
 import numpy as np
 
-from identification.error_model import BuiltRobot, ErrorModel
-from identification.expected import Sites, feasible
-from identification.measurements import Measurements, default_channels, to_measurements, to_table
-from identification.poses import planned
-from pipeline.stages import model
-from pipeline.virtual_robot import VirtualRobot, draw, measure
-from urdf.description import Channel, Sensor, VirtualErrors, Workspace, load_robot
-from urdf.kinematics import inverse
-from urdf.workspace import sample
+from kincal.identification.error_model import BuiltRobot, ErrorModel
+from kincal.identification.expected import Sites, feasible
+from kincal.identification.measurements import Measurements, default_channels, to_measurements, to_table
+from kincal.identification.poses import planned
+from kincal.pipeline.stages.drawing import model
+from kincal.pipeline.virtual.robot import VirtualRobot, draw, measure
+from kincal.urdf.description import Channel, Sensor, VirtualErrors, Workspace, load_robot
+from kincal.urdf.kinematics import inverse
+from kincal.urdf.workspace import sample
 
 PROCESSES = 2
 _GEOMETRIC = VirtualErrors(elastic=False, screw=False)
@@ -95,7 +95,7 @@ def spread(work: Callable[[Any], Any], jobs: Iterable[Any]) -> Iterator[Any]:
 
 def grid(errors: ErrorModel, side: int) -> np.ndarray:
     """Tool coordinates on the paper's uniform grid of the source task, side^3 poses."""
-    from urdf.workspace import grid as uniform
+    from kincal.urdf.workspace import grid as uniform
 
     workspace = load_robot("ups3_s").description.workspace
     return uniform(workspace, errors.chain.tool_axes, [side] * 3)

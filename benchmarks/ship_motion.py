@@ -11,11 +11,11 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.timing import median_seconds, row
-from pipeline.sea.replay import replayed
-from pipeline.sea.response import expected_std
-from pipeline.sea.settings import SEA_STATES, Seaway
-from pipeline.sea.ship_motion import ShipMotion
-from pipeline.sea.synthesis import generated, rao_of
+from kincal.pipeline.sea.replay import replayed
+from kincal.pipeline.sea.response import expected_std
+from kincal.pipeline.sea.settings import SEA_STATES, Seaway
+from kincal.pipeline.sea.ship_motion import ShipMotion
+from kincal.pipeline.sea.synthesis import generated, rao_of
 
 TABLE = Path(__file__).parents[2] / "shared" / "data" / "mss_supply_vessel" / "supply.mat"
 RECORDS = 20

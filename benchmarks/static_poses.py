@@ -9,9 +9,9 @@ import time
 
 import numpy as np
 
-from identification.attitude.presets import PRESETS
-from identification.static_poses import static_attitude, static_attitudes
-from urdf.description import Filter
+from kincal.identification.attitude.presets import PRESETS
+from kincal.identification.static_poses import static_attitude, static_attitudes
+from kincal.urdf.description import Filter
 
 POSES, SAMPLES, RATE_HZ = 2000, 250, 50.0
 

@@ -23,16 +23,16 @@ from sklearn.neural_network import MLPRegressor
 from threadpoolctl import threadpool_limits
 
 from benchmarks.setup import bench, grid
-from identification.accuracy import score
-from identification.error_model import BuiltRobot
-from identification.estimators import register
-from learning.members import Trained
-from learning.network import Network
-from learning.transfer import new_network, train
-from pipeline.charts import Chart
-from urdf.description import Pretrain, Transfer
-from urdf.kinematics import inverse
-from urdf.rigid_motion import Motion
+from kincal.identification.accuracy import score
+from kincal.identification.error_model import BuiltRobot
+from kincal.identification.estimators import register
+from kincal.learning.members import Trained
+from kincal.learning.network import Network
+from kincal.learning.transfer import new_network, train
+from kincal.pipeline.methods.charts import Chart
+from kincal.urdf.description import Pretrain, Transfer
+from kincal.urdf.kinematics import inverse
+from kincal.urdf.rigid_motion import Motion
 
 LIMIT = 60.0  # seconds a peer may take for each phase
 PIECES = (500, 20)  # a peer's iterations until the first look at its held-out error; a tenth more for each later one

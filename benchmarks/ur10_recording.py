@@ -14,13 +14,13 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.setup import spread
-from identification.accuracy import score
-from identification.error_model import ErrorModel
-from identification.estimators import identify, register
-from identification.measurements import Measurements, read_table, to_measurements
-from pipeline.stages import model
-from urdf.description import ROBOTS, Identify, load_robot
-from urdf.errors import CalibrationError
+from kincal.identification.accuracy import score
+from kincal.identification.error_model import ErrorModel
+from kincal.identification.estimators import identify, register
+from kincal.identification.measurements import Measurements, read_table, to_measurements
+from kincal.pipeline.stages.drawing import model
+from kincal.urdf.description import ROBOTS, Identify, load_robot
+from kincal.urdf.errors import CalibrationError
 
 DATA = Path(__file__).parents[2] / "shared" / "data" / "ipa_ur10_tmac"
 SERIES = {

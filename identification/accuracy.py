@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from identification.channels import all_turns
-from urdf.rigid_motion import Motion, log
+from kincal.identification.channels import all_turns
+from kincal.urdf.rigid_motion import Motion, log
 
 
 def orientation_error(actual: np.ndarray, predicted: np.ndarray) -> np.ndarray:

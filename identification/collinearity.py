@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import scipy.linalg
 
-from identification.error_model import Parameters
-from identification.identification import Collinearity
-from identification.shrinkage import N_FRAMES, Linear, identifiable, without_frames
-from identification.singular_values import svd
+from kincal.identification.error_model import Parameters
+from kincal.identification.identification import Collinearity
+from kincal.identification.shrinkage import N_FRAMES, Linear, identifiable, without_frames
+from kincal.identification.singular_values import svd
 
 
 def collinearity(triangle: np.ndarray, rows: int, parameters: Parameters) -> Collinearity:

@@ -14,13 +14,13 @@ from dataclasses import dataclass
 import numpy as np
 import scipy.linalg
 
-from identification.error_model import ErrorModel
-from identification.expected import Sites, feasible, information
-from identification.registration import MIN_POSES
-from identification.singular_values import svd
-from urdf.description import Channel, Sensor, Workspace
-from urdf.errors import InputError
-from urdf.workspace import bounds, grid, sample
+from kincal.identification.error_model import ErrorModel
+from kincal.identification.expected import Sites, feasible, information
+from kincal.identification.registration import MIN_POSES
+from kincal.identification.singular_values import svd
+from kincal.urdf.description import Channel, Sensor, Workspace
+from kincal.urdf.errors import InputError
+from kincal.urdf.workspace import bounds, grid, sample
 
 MAX_POSES = 1000
 _CANDIDATES = (1000, 5000)  # between these, ten for each pose that is asked for

@@ -12,14 +12,14 @@ from itertools import combinations
 
 import numpy as np
 
-from identification.error_model import ErrorModel, Parameters
-from identification.estimators import Estimate, register, registration_of
-from identification.identification import HUMAN
-from identification.measurements import Measurements, quaternions
-from identification.registration import MIN_POSES
-from identification.shrinkage import N_FRAMES, Linear, standardise
-from urdf.errors import CalibrationError, InputError
-from urdf.rigid_motion import Motion, log
+from kincal.identification.error_model import ErrorModel, Parameters
+from kincal.identification.estimators import Estimate, register, registration_of
+from kincal.identification.identification import HUMAN
+from kincal.identification.measurements import Measurements, quaternions
+from kincal.identification.registration import MIN_POSES
+from kincal.identification.shrinkage import N_FRAMES, Linear, standardise
+from kincal.urdf.errors import CalibrationError, InputError
+from kincal.urdf.rigid_motion import Motion, log
 
 _EXCESS = 25.0  # mean square of residuals over what tolerances and noise explain: beyond, a mistake is looked for
 _BETTER = 10.0  # a mistake explains the residuals if they are so much smaller without it

@@ -16,15 +16,15 @@ from functools import lru_cache
 import casadi as ca
 import numpy as np
 
-from identification.compiled import PAYS, compiled
-from identification.measurements import Measurements
-from identification.symbolic_chain import after, joint_frames, loop_equations, rotation_vector, tool_placement
-from urdf.actuators import Actuators
-from urdf.closed_chain import ClosedChain
-from urdf.description import Actuator, Tolerance
-from urdf.errors import InputError
-from urdf.kinematics import Closure, forward
-from urdf.rigid_motion import Motion, exp, right_jacobian
+from kincal.identification.compiled import PAYS, compiled
+from kincal.identification.measurements import Measurements
+from kincal.identification.symbolic_chain import after, joint_frames, loop_equations, rotation_vector, tool_placement
+from kincal.urdf.actuators import Actuators
+from kincal.urdf.closed_chain import ClosedChain
+from kincal.urdf.description import Actuator, Tolerance
+from kincal.urdf.errors import InputError
+from kincal.urdf.kinematics import Closure, forward
+from kincal.urdf.rigid_motion import Motion, exp, right_jacobian
 
 _COORDINATES = ("x", "y", "z", "rx", "ry", "rz")
 FRAMES = ("instrument", "target")  # W and T

@@ -12,12 +12,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from identification import registration
-from identification.error_model import ErrorModel, require_closed
-from identification.least_squares import Problem, Solution, minimise
-from identification.measurements import Measurements
-from identification.robust_loss import Loss, blocks
-from identification.shrinkage import (
+from kincal.identification import registration
+from kincal.identification.error_model import ErrorModel, require_closed
+from kincal.identification.least_squares import Problem, Solution, minimise
+from kincal.identification.measurements import Measurements
+from kincal.identification.robust_loss import Loss, blocks
+from kincal.identification.shrinkage import (
     N_FRAMES,
     Linear,
     Standardised,
@@ -28,8 +28,8 @@ from identification.shrinkage import (
     standardise,
     uncertainty,
 )
-from urdf.description import Identify
-from urdf.errors import CalibrationError, InputError
+from kincal.urdf.description import Identify
+from kincal.urdf.errors import CalibrationError, InputError
 
 _FLAT_SCALE = 1e-2  # a natural size for W and T in the scaled Jacobian [m, rad]; decides nothing but rounding
 _OTHERS = 30  # iterations of other starts, once one has converged

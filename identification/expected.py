@@ -6,14 +6,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from identification.error_model import ErrorModel, Parameters
-from identification.measurements import Measurements, default_channels
-from identification.poses import travel_order
-from urdf.closed_chain import ClosedChain
-from urdf.description import Channel, Instruments, Sensor, Workspace
-from urdf.errors import InputError
-from urdf.kinematics import forward, inverse, tool_coordinates
-from urdf.workspace import condition_numbers
+from kincal.identification.error_model import ErrorModel, Parameters
+from kincal.identification.measurements import Measurements, default_channels
+from kincal.identification.poses import travel_order
+from kincal.urdf.closed_chain import ClosedChain
+from kincal.urdf.description import Channel, Instruments, Sensor, Workspace
+from kincal.urdf.errors import InputError
+from kincal.urdf.kinematics import forward, inverse, tool_coordinates
+from kincal.urdf.workspace import condition_numbers
 
 FLAT = 0.1  # sigma that stands for W's and T's flat priors [m, rad]: a millionth of what one pose tells of them
 _SAME = 1e-6  # tool coordinates of one pose [m, rad]

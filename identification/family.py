@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import special
 
-from identification.identification import Identification
+from kincal.identification.identification import Identification
 
 FEWEST = 5  # units, for a family
 FALSE_ALARM = 0.01  # of all fleets without such a unit, those in which one is named

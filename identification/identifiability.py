@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 import scipy.linalg
 
-from identification.error_model import Parameters
-from identification.identification import HUMAN
-from identification.singular_values import svd
+from kincal.identification.error_model import Parameters
+from kincal.identification.identification import HUMAN
+from kincal.identification.singular_values import svd
 
 _NULL = 1e-10  # relative to the largest singular value: no exactly null one is larger, by rounding alone
 _GAP = 100.0  # a narrower one decides nothing

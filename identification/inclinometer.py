@@ -8,13 +8,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pandas as pd
 
-from identification.innovations import StaticInnovations
-from identification.measurements import UNITS
-from identification.static_poses import static_attitudes
-from identification.streams.campaign import DroppedPose
-from identification.streams.repeats import STUCK
-from urdf.description import Filter, Sensor
-from urdf.errors import InputError
+from kincal.identification.innovations import StaticInnovations
+from kincal.identification.measurements import UNITS
+from kincal.identification.static_poses import static_attitudes
+from kincal.identification.streams.campaign import DroppedPose
+from kincal.identification.streams.repeats import STUCK
+from kincal.urdf.description import Filter, Sensor
+from kincal.urdf.errors import InputError
 
 CHANNELS = ("roll", "pitch", "yaw")
 _MEDIAN = 0.67449  # of the absolute value of a standard normal variable

@@ -11,11 +11,11 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from identification.error_model import ErrorModel, Linearisation
-from identification.measurements import Measurements
-from identification.robust_loss import Loss
-from identification.singular_values import svd
-from urdf.errors import CalibrationError
+from kincal.identification.error_model import ErrorModel, Linearisation
+from kincal.identification.measurements import Measurements
+from kincal.identification.robust_loss import Loss
+from kincal.identification.singular_values import svd
+from kincal.urdf.errors import CalibrationError
 
 NULL = 1e-11  # relative to the largest singular value: below, neither data nor prior see the direction
 _PATIENCE = 60  # iterations; then Nielsen's damping alone

@@ -9,12 +9,12 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from identification.table_files import floats, load
-from urdf.actuators import Actuators
-from urdf.closed_chain import ClosedChain
-from urdf.description import Channel, Column, Measure, Sensor, Tolerance, listed, nearest
-from urdf.errors import InputError
-from urdf.rigid_motion import Motion, from_xyz_angles, from_zyx_angles
+from kincal.identification.table_files import floats, load
+from kincal.urdf.actuators import Actuators
+from kincal.urdf.closed_chain import ClosedChain
+from kincal.urdf.description import Channel, Column, Measure, Sensor, Tolerance, listed, nearest
+from kincal.urdf.errors import InputError
+from kincal.urdf.rigid_motion import Motion, from_xyz_angles, from_zyx_angles
 
 UNITS = {"m": 1.0, "mm": 1e-3, "rad": 1.0, "deg": np.pi / 180, "rev": 2 * np.pi, "1": 1.0}
 QUATERNION = ("qx", "qy", "qz", "qw")

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from identification.error_model import Parameters
-from identification.identifiability import FLAT_SCALE
+from kincal.identification.error_model import Parameters
+from kincal.identification.identifiability import FLAT_SCALE
 
 _NULL = 1e-12  # relative to the largest singular value: smaller ones are rounding
 

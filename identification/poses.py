@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from identification.registration import MIN_POSES
-from urdf.description import Plan, Split, Workspace
-from urdf.errors import InputError
-from urdf.workspace import grid, sample
+from kincal.identification.registration import MIN_POSES
+from kincal.urdf.description import Plan, Split, Workspace
+from kincal.urdf.errors import InputError
+from kincal.urdf.workspace import grid, sample
 
 _GRID_AXES = 3  # with more axes a grid has too few points along each
 

@@ -11,9 +11,9 @@ from dataclasses import dataclass
 import numpy as np
 import scipy.linalg
 
-from identification.channels import all_turns
-from identification.error_model import ErrorModel
-from identification.expected import Sites, prior_sigma
+from kincal.identification.channels import all_turns
+from kincal.identification.error_model import ErrorModel
+from kincal.identification.expected import Sites, prior_sigma
 
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(64)
 

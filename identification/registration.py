@@ -13,9 +13,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from identification.measurements import Measurements
-from urdf.errors import InputError
-from urdf.rigid_motion import Motion
+from kincal.identification.measurements import Measurements
+from kincal.urdf.errors import InputError
+from kincal.urdf.rigid_motion import Motion
 
 MIN_POSES = 3
 _MOST = 2000  # poses a start is computed from

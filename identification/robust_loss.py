@@ -14,7 +14,7 @@ from functools import lru_cache
 import numpy as np
 from scipy.special import chdtri, gamma
 
-from identification.measurements import ROWS
+from kincal.identification.measurements import ROWS
 
 _EFFICIENCY = 0.95
 _ORDINARY = 1e-4  # a good reading is longer with this probability: beyond, its own curvature counts

@@ -20,9 +20,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from identification.identifiability import FLAT_SCALE, rank_tolerance
-from identification.least_squares import NULL
-from identification.singular_values import svd
+from kincal.identification.identifiability import FLAT_SCALE, rank_tolerance
+from kincal.identification.least_squares import NULL
+from kincal.identification.singular_values import svd
 
 _TIE = 1e-3  # of a score, relative: less than data of any size could tell
 _UNFELT = 1e-9  # relative to the column that is felt most: rounding

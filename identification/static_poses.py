@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import chdtri
 
-from urdf.description import Filter
+from kincal.urdf.description import Filter
 
 _SENSORS = ((0, 1), (2,))  # an inclinometer's roll and pitch, and a heading reference: each is gated by itself
 _DIFFUSE = 10.0  # one sigma of the state before the first sample [rad]

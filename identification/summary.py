@@ -5,15 +5,15 @@ from __future__ import annotations
 import numpy as np
 from scipy.special import chdtr, chdtrc, chdtri
 
-from identification.collinearity import collinearity
-from identification.diagnosis import moved_far
-from identification.error_model import ErrorModel
-from identification.estimators import Estimate
-from identification.identifiability import identifiability
-from identification.identification import Identification, Outlier, ResidualSize
-from identification.measurements import ROWS, Measurements
-from identification.robust_loss import blocks
-from urdf.description import Identify
+from kincal.identification.collinearity import collinearity
+from kincal.identification.diagnosis import moved_far
+from kincal.identification.error_model import ErrorModel
+from kincal.identification.estimators import Estimate
+from kincal.identification.identifiability import identifiability
+from kincal.identification.identification import Identification, Outlier, ResidualSize
+from kincal.identification.measurements import ROWS, Measurements
+from kincal.identification.robust_loss import blocks
+from kincal.urdf.description import Identify
 
 _OUTLIER = 1e-5  # the probability that a good pose looks like one
 _SURPRISE = 1e-6  # of a chi-square: less likely is a finding

@@ -9,7 +9,7 @@ from collections.abc import Mapping, Sequence
 
 import casadi as ca
 
-from urdf.closed_chain import BASE, ClosedChain
+from kincal.urdf.closed_chain import BASE, ClosedChain
 
 Placement = tuple  # rotation (3, 3), translation (3,) [m]: ca.SX or ca.DM
 

@@ -14,9 +14,9 @@ from typing import TYPE_CHECKING, Any, BinaryIO
 import numpy as np
 import pandas as pd
 
-from urdf.description import Measure
-from urdf.errors import InputError
-from urdf.input_files import bounded, check_file, unreadable
+from kincal.urdf.description import Measure
+from kincal.urdf.errors import InputError
+from kincal.urdf.input_files import bounded, check_file, unreadable
 
 if TYPE_CHECKING:
     from pyarrow.parquet import ParquetFile

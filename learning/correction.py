@@ -7,7 +7,7 @@ from itertools import combinations
 
 import numpy as np
 
-from learning.units import WAVES, Units
+from kincal.learning.units import WAVES, Units
 
 HELD = 0.95  # of what is to come, within the regions that are told
 MARGIN = 0.2  # of the training range: how far outside the hull the correction has faded to nothing

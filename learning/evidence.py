@@ -13,7 +13,7 @@ import numpy as np
 from scipy.linalg.lapack import dpotrf, dpotri  # pyright: ignore[reportAttributeAccessIssue]
 from scipy.special import chdtri
 
-from learning.correction import HELD, variance
+from kincal.learning.correction import HELD, variance
 
 _ITERATIONS = 60
 _SETTLED = 1e-2  # of the logarithm of a precision: predictions change by a millionth

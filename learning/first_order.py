@@ -11,9 +11,9 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from learning.members import Members, Problem, Trained, train_all
-from learning.network import Sizes
-from learning.normal_equations import descent
+from kincal.learning.members import Members, Problem, Trained, train_all
+from kincal.learning.network import Sizes
+from kincal.learning.normal_equations import descent
 
 _MEMORY = (0.9, 0.999)  # of the mean gradient and of its mean square
 _TINY = 1e-12  # beside the root of the mean square: gradients fall far below Adam's usual 1e-8

@@ -10,8 +10,8 @@ from collections.abc import Callable
 
 import numpy as np
 
-from learning.network import Network, initial_weights
-from learning.units import Inherited, range_of
+from kincal.learning.network import Network, initial_weights
+from kincal.learning.units import Inherited, range_of
 
 _LEAST = 0.02  # of the first component's size: smaller ones are left out
 _MOST = 16  # components
@@ -28,8 +28,8 @@ def inherit(
     progress: Callable[[int, float], None] = lambda done, loss: None,
 ) -> tuple[Inherited, np.ndarray]:
     """Learn residuals (s, n, k) of s siblings at readings x (n, k); also the training curve (iterations, 2)."""
-    from learning.first_order import adam  # imports torch: two seconds, for those who train
-    from learning.members import Problem
+    from kincal.learning.first_order import adam  # imports torch: two seconds, for those who train
+    from kincal.learning.members import Problem
 
     s, n, k = residuals.shape
     size = np.sqrt(np.mean(residuals**2, axis=(0, 1)))  # of each joint

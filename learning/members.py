@@ -10,8 +10,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from learning.network import Sizes
-from learning.normal_equations import Rows
+from kincal.learning.network import Sizes
+from kincal.learning.normal_equations import Rows
 
 
 @dataclass(frozen=True)

@@ -19,7 +19,7 @@ import torch
 from scipy.linalg import get_lapack_funcs
 from torch import Tensor
 
-from learning.network import Sizes, split
+from kincal.learning.network import Sizes, split
 
 (_posv,) = get_lapack_funcs(("posv",), dtype=np.float64)
 _CHUNK = 512  # poses at a time, of one member or of several: what is made of more falls out of the caches

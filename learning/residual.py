@@ -14,10 +14,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.special import chdtri, fdtri, stdtrit
 
-from learning.correction import HELD, Correction, Hull, Spread
-from learning.evidence import Posterior, Rows, Unseen, cross_validated, inflation, posterior
-from learning.units import INHERITED, OWN, SHARED, WAVES, Inherited, Units, range_of, shared_units
-from learning.waves import find_waves
+from kincal.learning.correction import HELD, Correction, Hull, Spread
+from kincal.learning.evidence import Posterior, Rows, Unseen, cross_validated, inflation, posterior
+from kincal.learning.units import INHERITED, OWN, SHARED, WAVES, Inherited, Units, range_of, shared_units
+from kincal.learning.waves import find_waves
 
 _LEAST_TOLD = 1e-3  # of a prior's sigma: what poses tell less of is left to it
 _CHANCE = 0.01  # that a network which does not pay is believed

@@ -7,9 +7,9 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from learning.correction import MARGIN, Correction
-from learning.network import Network, split
-from learning.units import INHERITED, OWN, SHARED, WAVES, own_centres
+from kincal.learning.correction import MARGIN, Correction
+from kincal.learning.network import Network, split
+from kincal.learning.units import INHERITED, OWN, SHARED, WAVES, own_centres
 
 _FAR = 3.0  # in ranges: beyond, nothing is believed, and exponentials would overflow
 

@@ -12,9 +12,9 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from learning.members import Members, Problem, Trained, train_all
-from learning.network import Sizes
-from learning.normal_equations import System, linearised
+from kincal.learning.members import Members, Problem, Trained, train_all
+from kincal.learning.network import Sizes
+from kincal.learning.normal_equations import System, linearised
 
 _DAMPING = (1e-3, 1e-12, 1e10)  # start, least, most
 # Delayed gratification (Transtrum and Sethna 2012): a refused step raises the damping by little, an accepted one lowers

@@ -6,9 +6,9 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from learning.members import Problem, Trained
-from learning.network import Network, count, initial_weights
-from learning.training import levenberg_marquardt
+from kincal.learning.members import Problem, Trained
+from kincal.learning.network import Network, count, initial_weights
+from kincal.learning.training import levenberg_marquardt
 
 _LEAST_RANGE = 1e-2  # of an output, of the largest: what a drawing holds still moves as built
 _MOST_WEIGHTS_A_VALUE = 100  # the paper itself has 387 weights for 450 values; far beyond, training is no use

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from learning.network import Network
+from kincal.learning.network import Network
 
 OWN, WAVES, SHARED, INHERITED = "own", "waves", "shared", "inherited"
 _REACH = 1.2  # of the radial units' centres: a little beyond the range

@@ -8,28 +8,17 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from identification.identification import Identification
-from identification.innovations import StaticInnovations
-from identification.streams.campaign import Campaign, DroppedPose
-from learning.correction import Correction
-from learning.network import Network
-from learning.units import Inherited
-from urdf.description import Mechanism, VirtualErrors
+from kincal.identification.identification import Identification
+from kincal.identification.innovations import StaticInnovations
+from kincal.identification.streams.campaign import Campaign, DroppedPose
+from kincal.learning.correction import Correction
+from kincal.learning.network import Network
+from kincal.learning.units import Inherited
+from kincal.pipeline.store.codec import Frame, Text
+from kincal.urdf.description import Mechanism, VirtualErrors
 
 if TYPE_CHECKING:
-    from pandas import DataFrame as Frame
-
-    from urdf.closed_chain import ClosedChain
-else:
-
-    class Frame:
-        """Stands for pandas.DataFrame, whose import takes half a second, until a table is read."""
-
-
-class Text(str):
-    """A text that is stored as a file of its own."""
-
-    file = "text.txt"
+    from kincal.urdf.closed_chain import ClosedChain
 
 
 class Html(Text):
@@ -55,8 +44,8 @@ class Model:
     n_checked: int
 
     def chain(self) -> ClosedChain:
-        from urdf.closed_chain import load_chain
-        from urdf.rigid_motion import Motion
+        from kincal.urdf.closed_chain import load_chain
+        from kincal.urdf.rigid_motion import Motion
 
         chain = load_chain(self.mechanism, self.urdf, Path("robot.urdf"))
         return replace(chain, home=self.home, home_pose=Motion.from_vector(self.home_pose))

@@ -17,13 +17,13 @@ import numpy as np
 import pytest
 from hypothesis import settings
 
-from identification.error_model import ErrorModel
-from identification.measurements import Measurements
-from urdf.closed_chain import ClosedChain, load_chain
-from urdf.description import ROBOTS, RobotDescription, load_robot
-from urdf.kinematics import at_home, inverse
-from urdf.rigid_motion import Motion, exp, from_xyz_angles
-from urdf.workspace import WorkspaceReport, check_workspace, sample
+from kincal.identification.error_model import ErrorModel
+from kincal.identification.measurements import Measurements
+from kincal.urdf.closed_chain import ClosedChain, load_chain
+from kincal.urdf.description import ROBOTS, RobotDescription, load_robot
+from kincal.urdf.kinematics import at_home, inverse
+from kincal.urdf.rigid_motion import Motion, exp, from_xyz_angles
+from kincal.urdf.workspace import WorkspaceReport, check_workspace, sample
 
 DATA = Path(__file__).parent / "data"
 

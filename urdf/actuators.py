@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from urdf.closed_chain import ClosedChain
-from urdf.description import Actuator
+from kincal.urdf.closed_chain import ClosedChain
+from kincal.urdf.description import Actuator
 
 
 @dataclass(frozen=True)

@@ -6,11 +6,11 @@ from pathlib import Path
 
 import numpy as np
 
-from urdf.closed_chain import ClosedChain, load_chain
-from urdf.description import Mechanism, Workspace
-from urdf.kinematics import at_home
-from urdf.rigid_motion import Motion, from_xyz_angles
-from urdf.workspace import WorkspaceReport, check_workspace
+from kincal.urdf.closed_chain import ClosedChain, load_chain
+from kincal.urdf.description import Mechanism, Workspace
+from kincal.urdf.kinematics import at_home
+from kincal.urdf.rigid_motion import Motion, from_xyz_angles
+from kincal.urdf.workspace import WorkspaceReport, check_workspace
 
 
 def assembled(mechanism: Mechanism, text: str, file: Path) -> tuple[ClosedChain, WorkspaceReport]:

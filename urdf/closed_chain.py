@@ -8,12 +8,12 @@ from pathlib import Path
 import numpy as np
 import pinocchio as pin  # pyright: ignore[reportMissingImports] - a wheel without stubs
 
-from urdf.description import Loop, Mechanism, Workspace, nearest
-from urdf.drawing import BASE, Drawing, DrawnLoop, parse
-from urdf.errors import InputError
-from urdf.mjcf import read_mjcf
-from urdf.rigid_motion import Motion
-from urdf.urdf_tree import read_urdf
+from kincal.urdf.description import Loop, Mechanism, Workspace, nearest
+from kincal.urdf.drawing import BASE, Drawing, DrawnLoop, parse
+from kincal.urdf.errors import InputError
+from kincal.urdf.mjcf import read_mjcf
+from kincal.urdf.rigid_motion import Motion
+from kincal.urdf.urdf_tree import read_urdf
 
 
 @dataclass(frozen=True)

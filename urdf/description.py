@@ -16,8 +16,8 @@ from typing import Annotated, Any, Literal, TypeVar, get_args
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
 
-from urdf.errors import InputError
-from urdf.input_files import MAX_KEY, MAX_TOML, parse_toml, read_text
+from kincal.urdf.errors import InputError
+from kincal.urdf.input_files import MAX_KEY, MAX_TOML, parse_toml, read_text
 
 ROBOTS = Path(__file__).parent / "robots"
 

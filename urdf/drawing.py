@@ -10,8 +10,8 @@ import pinocchio as pin  # pyright: ignore[reportMissingImports] - a wheel witho
 from defusedxml import DefusedXmlException
 from defusedxml import ElementTree as SafeXml
 
-from urdf.errors import InputError
-from urdf.rigid_motion import Motion
+from kincal.urdf.errors import InputError
+from kincal.urdf.rigid_motion import Motion
 
 MAX_JOINTS = 500
 MAX_NUMBER = 1e9  # of a placement or a direction [m, rad]: more is a slip, and its squares must not overflow

@@ -20,7 +20,7 @@ from typing import Annotated, Any
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-from urdf.description import (
+from kincal.urdf.description import (
     Name,
     Robot,
     Seed,
@@ -36,7 +36,7 @@ from urdf.description import (
     toml_text,
     validate,
 )
-from urdf.errors import InputError
+from kincal.urdf.errors import InputError
 
 MOST_UNITS = 10_000
 _DEEPEST = 10  # tables in tables

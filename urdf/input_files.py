@@ -11,7 +11,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, TypeVar
 
-from urdf.errors import InputError
+from kincal.urdf.errors import InputError
 
 MAX_TOML = 1 << 20  # bytes
 MAX_DRAWING = 16 << 20  # bytes of a URDF or an MJCF: text without its meshes

@@ -11,10 +11,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from urdf.closed_chain import BASE, ClosedChain, LoopClosure
-from urdf.errors import InputError
-from urdf.over_constrained import RANK_TOLERANCE, dependent, what_to_do
-from urdf.rigid_motion import Motion, cross, from_xyz_angles, skew, vee, wrap, xyz_angles, xyz_rates
+from kincal.urdf.closed_chain import BASE, ClosedChain, LoopClosure
+from kincal.urdf.errors import InputError
+from kincal.urdf.over_constrained import RANK_TOLERANCE, dependent, what_to_do
+from kincal.urdf.rigid_motion import Motion, cross, from_xyz_angles, skew, vee, wrap, xyz_angles, xyz_rates
 
 TOLERANCE = 1e-11  # of a closed loop and of a reached tool coordinate [m, rad]
 _ITERATIONS = 12

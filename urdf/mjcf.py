@@ -14,11 +14,11 @@ from pathlib import Path
 import numpy as np
 import pinocchio as pin  # pyright: ignore[reportMissingImports] - a wheel without stubs
 
-from urdf.description import nearest
-from urdf.drawing import BASE, MAX_JOINTS, Drawing, DrawnLoop
-from urdf.errors import InputError
-from urdf.mjcf_text import Attributes, MjcfText, from_quaternion
-from urdf.rigid_motion import Motion, exp
+from kincal.urdf.description import nearest
+from kincal.urdf.drawing import BASE, MAX_JOINTS, Drawing, DrawnLoop
+from kincal.urdf.errors import InputError
+from kincal.urdf.mjcf_text import Attributes, MjcfText, from_quaternion
+from kincal.urdf.rigid_motion import Motion, exp
 
 WORLD = "world"  # the name that MuJoCo gives to what everything hangs on
 _WITHOUT_MOTION = {"inertial", "geom", "camera", "light", "plugin", "site"}  # of a body's elements

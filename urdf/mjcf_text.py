@@ -8,11 +8,11 @@ from pathlib import Path
 
 import numpy as np
 
-from urdf.description import nearest
-from urdf.drawing import MAX_NUMBER
-from urdf.errors import InputError
-from urdf.input_files import floats
-from urdf.rigid_motion import Motion, exp
+from kincal.urdf.description import nearest
+from kincal.urdf.drawing import MAX_NUMBER
+from kincal.urdf.errors import InputError
+from kincal.urdf.input_files import floats
+from kincal.urdf.rigid_motion import Motion, exp
 
 _DEEPEST = 100  # classes around a class
 _ORIENTATIONS = {"quat": 4, "axisangle": 4, "euler": 3, "xyaxes": 6, "zaxis": 3}

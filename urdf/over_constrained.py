@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from urdf.closed_chain import ClosedChain
+from kincal.urdf.closed_chain import ClosedChain
 
 # Of the loop equations' singular values, relative to the largest. Regular chains have 1e-2 and more (a millimetre-sized
 # one 1e-5), over-constrained ones rounding: 1e-16 where drawn exactly, 1e-7 where coordinates have six decimals.

@@ -12,14 +12,14 @@ from pathlib import Path
 
 import numpy as np
 
-from urdf.assembly import assembled, home_pose
-from urdf.closed_chain import BASE, ClosedChain, load_chain, load_drawing
-from urdf.description import Mechanism, Workspace
-from urdf.drawing import Drawing
-from urdf.errors import InputError
-from urdf.input_files import read_text
-from urdf.kinematics import at_home, loop_jacobian, tool_jacobian, tool_pose, tree
-from urdf.proposed_loops import (
+from kincal.urdf.assembly import assembled, home_pose
+from kincal.urdf.closed_chain import BASE, ClosedChain, load_chain, load_drawing
+from kincal.urdf.description import Mechanism, Workspace
+from kincal.urdf.drawing import Drawing
+from kincal.urdf.errors import InputError
+from kincal.urdf.input_files import read_text
+from kincal.urdf.kinematics import at_home, loop_jacobian, tool_jacobian, tool_pose, tree
+from kincal.urdf.proposed_loops import (
     TOLERANCES,
     Link,
     Meeting,
@@ -31,8 +31,8 @@ from urdf.proposed_loops import (
     size_of,
     with_loops,
 )
-from urdf.rigid_motion import Motion, log, xyz_angles
-from urdf.workspace import AXES, condition_numbers, mobility
+from kincal.urdf.rigid_motion import Motion, log, xyz_angles
+from kincal.urdf.workspace import AXES, condition_numbers, mobility
 
 _ROTATION_DEG = 10.0  # of the first workspace that is tried
 _SHRUNK = (1.0, 0.5, 0.25, 0.1)

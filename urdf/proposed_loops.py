@@ -11,11 +11,11 @@ from itertools import combinations
 import numpy as np
 import pinocchio as pin  # pyright: ignore[reportMissingImports] - a wheel without stubs
 
-from urdf.closed_chain import BASE, ClosedChain, LoopClosure
-from urdf.description import Loop
-from urdf.drawing import Drawing
-from urdf.kinematics import Tree, loop_jacobian, tree
-from urdf.rigid_motion import Motion, log
+from kincal.urdf.closed_chain import BASE, ClosedChain, LoopClosure
+from kincal.urdf.description import Loop
+from kincal.urdf.drawing import Drawing
+from kincal.urdf.kinematics import Tree, loop_jacobian, tree
+from kincal.urdf.rigid_motion import Motion, log
 
 TOLERANCES = (1e-6, 1e-3)  # of the robot's size: frames that coincide, and such as nearly do
 _MAX_FRAMES = 2000

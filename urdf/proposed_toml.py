@@ -13,9 +13,9 @@ import tomlkit
 from tomlkit import TOMLDocument
 from tomlkit.items import InlineTable, Item, Table
 
-from urdf.errors import InputError
-from urdf.proposal import Proposal, propose
-from urdf.proposed_loops import TOLERANCES, Meeting
+from kincal.urdf.errors import InputError
+from kincal.urdf.proposal import Proposal, propose
+from kincal.urdf.proposed_loops import TOLERANCES, Meeting
 
 
 @dataclass(frozen=True)

@@ -13,10 +13,10 @@ from typing import IO
 import numpy as np
 import pinocchio as pin  # pyright: ignore[reportMissingImports] - a wheel without stubs
 
-from urdf.description import nearest
-from urdf.drawing import MAX_JOINTS, MAX_NUMBER, Drawing
-from urdf.errors import InputError
-from urdf.input_files import floats
+from kincal.urdf.description import nearest
+from kincal.urdf.drawing import MAX_JOINTS, MAX_NUMBER, Drawing
+from kincal.urdf.errors import InputError
+from kincal.urdf.input_files import floats
 
 JOINT_TYPES = ("revolute", "continuous", "prismatic", "fixed")
 

@@ -6,10 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from urdf.closed_chain import ClosedChain
-from urdf.description import Workspace
-from urdf.errors import InputError
-from urdf.kinematics import (
+from kincal.urdf.closed_chain import ClosedChain
+from kincal.urdf.description import Workspace
+from kincal.urdf.errors import InputError
+from kincal.urdf.kinematics import (
     TOLERANCE,
     Closure,
     actuator_jacobian,
@@ -19,7 +19,7 @@ from urdf.kinematics import (
     tool_coordinates,
     tree,
 )
-from urdf.over_constrained import dependent, what_to_do
+from kincal.urdf.over_constrained import dependent, what_to_do
 
 AXES = ("x", "y", "z", "rx", "ry", "rz")  # of the tool coordinates
 _GRID_POINTS = 1500

@@ -11,9 +11,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from identification.attitude import wave_band
-from identification.attitude.motion import Layout, Nominal, Sea
-from identification.attitude.settings import AttitudeSettings
+from kincal.identification.attitude import wave_band
+from kincal.identification.attitude.motion import Layout, Nominal, Sea
+from kincal.identification.attitude.settings import AttitudeSettings
 
 _EVERY_S = 2.0  # between two changes of the model
 _SETTLE_S = 20.0  # before anything is learned: the start's error is no wave

@@ -13,7 +13,7 @@ import numpy as np
 from scipy.constants import g
 from scipy.spatial.transform import Rotation
 
-from identification.attitude.settings import AttitudeSettings, Samples
+from kincal.identification.attitude.settings import AttitudeSettings, Samples
 
 _SPIKE = 8.0  # robust sigmas within a block: a wave does not jump
 _MEDIAN = 0.67449  # of the absolute value of a standard normal variable

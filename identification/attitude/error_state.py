@@ -16,13 +16,13 @@ import numpy as np
 from scipy.constants import g
 from scipy.special import chdtri
 
-from identification.attitude import wave_band
-from identification.attitude.adaptation import Adaptation
-from identification.attitude.blocks import Blocks
-from identification.attitude.motion import Layout, Nominal, move, rotation_of, swing_model, wave_model
-from identification.attitude.settings import AttitudeSettings
-from urdf.errors import InputError
-from urdf.rigid_motion import cross, from_zyx_angles, zyx_angles
+from kincal.identification.attitude import wave_band
+from kincal.identification.attitude.adaptation import Adaptation
+from kincal.identification.attitude.blocks import Blocks
+from kincal.identification.attitude.motion import Layout, Nominal, move, rotation_of, swing_model, wave_model
+from kincal.identification.attitude.settings import AttitudeSettings
+from kincal.urdf.errors import InputError
+from kincal.urdf.rigid_motion import cross, from_zyx_angles, zyx_angles
 
 _UNKNOWN_YAW = 2.0  # one sigma before the first heading [rad]
 _FORGIVEN = 4  # refused updates in a row: after them the noise is taken as larger and larger

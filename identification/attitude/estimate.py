@@ -8,12 +8,12 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.constants import g
 
-from identification.attitude.blocks import Blocks
-from identification.attitude.error_state import Update
-from identification.attitude.innovations import statistics
-from identification.attitude.motion import Nominal
-from identification.attitude.settings import AttitudeEstimate, InnovationStatistics
-from urdf.rigid_motion import exp, zyx_angles
+from kincal.identification.attitude.blocks import Blocks
+from kincal.identification.attitude.error_state import Update
+from kincal.identification.attitude.innovations import statistics
+from kincal.identification.attitude.motion import Nominal
+from kincal.identification.attitude.settings import AttitudeEstimate, InnovationStatistics
+from kincal.urdf.rigid_motion import exp, zyx_angles
 
 
 @dataclass(frozen=True)

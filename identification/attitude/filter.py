@@ -7,11 +7,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from identification.attitude.blocks import Blocks, block_size, size_at, to_blocks
-from identification.attitude.error_state import ErrorStateFilter, Step
-from identification.attitude.estimate import Stretch, bias_free, estimate, roll_pitch_yaw
-from identification.attitude.motion import Nominal, rotation_of
-from identification.attitude.settings import AttitudeEstimate, AttitudeSettings, Samples, check
+from kincal.identification.attitude.blocks import Blocks, block_size, size_at, to_blocks
+from kincal.identification.attitude.error_state import ErrorStateFilter, Step
+from kincal.identification.attitude.estimate import Stretch, bias_free, estimate, roll_pitch_yaw
+from kincal.identification.attitude.motion import Nominal, rotation_of
+from kincal.identification.attitude.settings import AttitudeEstimate, AttitudeSettings, Samples, check
 
 _CHUNK = 2000  # blocks integrated at once: memory
 

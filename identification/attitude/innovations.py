@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.special import chdtri
 
-from identification.attitude.settings import InnovationStatistics
+from kincal.identification.attitude.settings import InnovationStatistics
 
 _LAGS = 20
 _FEWEST = 100  # updates: fewer say nothing

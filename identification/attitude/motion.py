@@ -17,9 +17,9 @@ from math import cos, exp, sin, sqrt
 
 import numpy as np
 
-from identification.attitude import wave_band
-from identification.attitude.settings import AttitudeSettings
-from urdf.rigid_motion import log
+from kincal.identification.attitude import wave_band
+from kincal.identification.attitude.settings import AttitudeSettings
+from kincal.urdf.rigid_motion import log
 
 _MEAN_ANGLE = np.deg2rad(1e-3)  # what a mean angle may do without a gyro to tell [rad/sqrt(s)]
 

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.constants import g
 
-from urdf.description import nearest
-from urdf.errors import InputError
+from kincal.urdf.description import nearest
+from kincal.urdf.errors import InputError
 
 _DEG, _MILLI_G = np.pi / 180, 1e-3 * g
 

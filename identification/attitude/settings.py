@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from identification.attitude.presets import PRESETS, SensorPreset
-from urdf.errors import InputError
+from kincal.identification.attitude.presets import PRESETS, SensorPreset
+from kincal.urdf.errors import InputError
 
 
 @dataclass(frozen=True)

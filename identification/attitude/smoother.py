@@ -10,12 +10,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from identification.attitude.blocks import Blocks
-from identification.attitude.error_state import Step
-from identification.attitude.estimate import Stretch, bias_free, estimate
-from identification.attitude.filter import learning, steps, stretch
-from identification.attitude.motion import Layout, Nominal
-from identification.attitude.settings import AttitudeEstimate, AttitudeSettings, Samples, check
+from kincal.identification.attitude.blocks import Blocks
+from kincal.identification.attitude.error_state import Step
+from kincal.identification.attitude.estimate import Stretch, bias_free, estimate
+from kincal.identification.attitude.filter import learning, steps, stretch
+from kincal.identification.attitude.motion import Layout, Nominal
+from kincal.identification.attitude.settings import AttitudeEstimate, AttitudeSettings, Samples, check
 
 
 def smooth_attitude(

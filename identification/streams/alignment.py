@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from identification.streams.columns import ANGLES
-from urdf.errors import InputError
-from urdf.rigid_motion import wrap
+from kincal.identification.streams.columns import ANGLES
+from kincal.urdf.errors import InputError
+from kincal.urdf.rigid_motion import wrap
 
 _LEAST = 10  # samples in common
 

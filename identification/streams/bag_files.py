@@ -7,8 +7,8 @@ import sqlite3
 from contextlib import closing
 from pathlib import Path
 
-from urdf.errors import InputError
-from urdf.input_files import check_file
+from kincal.urdf.errors import InputError
+from kincal.urdf.input_files import check_file
 
 MAX_METADATA = 1 << 20  # bytes of metadata.yaml
 _ANCHOR = re.compile(rb"(?:^|[\s\[{,:-])[&*][^\s&*]", re.MULTILINE)  # of YAML: a few lines can stand for gigabytes

@@ -15,12 +15,12 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from identification.measurements import UNITS
-from identification.streams.bag_files import check_bag
-from identification.streams.health import Tally
-from urdf.description import Column, Measure
-from urdf.errors import InputError
-from urdf.input_files import bounded, bounded_each
+from kincal.identification.measurements import UNITS
+from kincal.identification.streams.bag_files import check_bag
+from kincal.identification.streams.health import Tally
+from kincal.urdf.description import Column, Measure
+from kincal.urdf.errors import InputError
+from kincal.urdf.input_files import bounded, bounded_each
 
 IMU, VECTOR = "sensor_msgs/msg/Imu", "geometry_msgs/msg/Vector3Stamped"
 _ROWS = 5_000  # messages a chunk

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from identification.streams.health import StreamHealth
+from kincal.identification.streams.health import StreamHealth
 
 
 @dataclass(frozen=True)

@@ -12,11 +12,11 @@ from pathlib import Path
 
 import numpy as np
 
-from identification.streams.campaign import ClockOffset
-from identification.streams.commands import Holds
-from identification.streams.stillness import Bins
-from urdf.errors import InputError
-from urdf.rigid_motion import wrap
+from kincal.identification.streams.campaign import ClockOffset
+from kincal.identification.streams.commands import Holds
+from kincal.identification.streams.stillness import Bins
+from kincal.urdf.errors import InputError
+from kincal.urdf.rigid_motion import wrap
 
 _PAIRS = 2000  # events of either side that are paired
 _FEWER = 0.6  # of the best candidate's pairs: others are still worth a look

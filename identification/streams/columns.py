@@ -9,10 +9,10 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from identification.measurements import UNITS
-from identification.table_files import floats
-from urdf.description import Column, Measure, listed
-from urdf.errors import InputError
+from kincal.identification.measurements import UNITS
+from kincal.identification.table_files import floats
+from kincal.urdf.description import Column, Measure, listed
+from kincal.urdf.errors import InputError
 
 REQUIRED = ("t", "roll", "pitch")
 OPTIONAL = ("yaw", *(f"{sensor}_{axis}" for sensor in ("gyro", "acc") for axis in "xyz"), "heave")

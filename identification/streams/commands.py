@@ -9,11 +9,11 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from identification.measurements import numbers
-from identification.streams.columns import times
-from identification.table_files import floats, load
-from urdf.description import Column, Measure, listed
-from urdf.errors import InputError
+from kincal.identification.measurements import numbers
+from kincal.identification.streams.columns import times
+from kincal.identification.table_files import floats, load
+from kincal.urdf.description import Column, Measure, listed
+from kincal.urdf.errors import InputError
 
 _TRAJECTORY = 1.0  # [s] a single row that holds for less is a point of a trajectory, no target
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from urdf.errors import InputError
+from kincal.urdf.errors import InputError
 
 _FAULTS = {
     "garbage": "are no readable record",

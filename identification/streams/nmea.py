@@ -16,12 +16,12 @@ from typing import Any, BinaryIO
 import numpy as np
 import pandas as pd
 
-from identification.streams.health import Tally
-from identification.streams.nmea_time import Clock, FromSentences, FromStamps, Nominal, stamped
-from urdf.description import Log
-from urdf.errors import InputError
-from urdf.input_files import unreadable
-from urdf.rigid_motion import wrap
+from kincal.identification.streams.health import Tally
+from kincal.identification.streams.nmea_time import Clock, FromSentences, FromStamps, Nominal, stamped
+from kincal.urdf.description import Log
+from kincal.urdf.errors import InputError
+from kincal.urdf.input_files import unreadable
+from kincal.urdf.rigid_motion import wrap
 
 ATTITUDE = ("PSXN", "PASHR", "PRDID", "XDR")
 _ROWS = 20_000  # a chunk

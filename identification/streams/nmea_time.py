@@ -8,7 +8,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from identification.streams.columns import clock as stamp_seconds
+from kincal.identification.streams.columns import clock as stamp_seconds
 
 Values = tuple[float, float, float, float]
 Row = tuple[float, ...]

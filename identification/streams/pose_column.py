@@ -10,9 +10,9 @@ from __future__ import annotations
 import numpy as np
 import pandas as pd
 
-from identification.streams.health import Tally
-from identification.streams.repeats import STUCK
-from identification.streams.timeline import GAP, STEP, Timeline
+from kincal.identification.streams.health import Tally
+from kincal.identification.streams.repeats import STUCK
+from kincal.identification.streams.timeline import GAP, STEP, Timeline
 
 
 def whole_numbers(pose: np.ndarray) -> np.ndarray:

@@ -9,15 +9,15 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from identification.streams import bags, nmea, tables
-from identification.streams.columns import OPTIONAL, REQUIRED
-from identification.streams.health import StreamHealth, Tally
-from identification.streams.pose_column import all_of_pose, in_order, not_revisited, whole_numbers
-from identification.streams.repeats import Repeats
-from identification.streams.timeline import Timeline
-from urdf.description import Measure
-from urdf.errors import InputError
-from urdf.input_files import check_file, unreadable
+from kincal.identification.streams import bags, nmea, tables
+from kincal.identification.streams.columns import OPTIONAL, REQUIRED
+from kincal.identification.streams.health import StreamHealth, Tally
+from kincal.identification.streams.pose_column import all_of_pose, in_order, not_revisited, whole_numbers
+from kincal.identification.streams.repeats import Repeats
+from kincal.identification.streams.timeline import Timeline
+from kincal.urdf.description import Measure
+from kincal.urdf.errors import InputError
+from kincal.urdf.input_files import check_file, unreadable
 
 _MOSTLY = 0.9  # of the samples: an optional channel that fewer have is left out
 _FARTHEST = 1e12  # beyond it a number is no time, no angle, nor a pose's

@@ -8,16 +8,16 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
-from identification.streams.campaign import Campaign, ClockOffset, DroppedPose
-from identification.streams.clock_offset import estimate_offset
-from identification.streams.columns import ANGLES, OPTIONAL
-from identification.streams.commands import read_commands
-from identification.streams.reading import complete, open_stream
-from identification.streams.repeats import STUCK
-from identification.streams.stillness import binned
-from identification.streams.windows import Window, still_windows
-from urdf.description import Measure
-from urdf.errors import InputError
+from kincal.identification.streams.campaign import Campaign, ClockOffset, DroppedPose
+from kincal.identification.streams.clock_offset import estimate_offset
+from kincal.identification.streams.columns import ANGLES, OPTIONAL
+from kincal.identification.streams.commands import read_commands
+from kincal.identification.streams.reading import complete, open_stream
+from kincal.identification.streams.repeats import STUCK
+from kincal.identification.streams.stillness import binned
+from kincal.identification.streams.windows import Window, still_windows
+from kincal.urdf.description import Measure
+from kincal.urdf.errors import InputError
 
 _LEAST = 5  # samples a pose
 

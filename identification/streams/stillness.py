@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
-from urdf.rigid_motion import wrap
+from kincal.urdf.rigid_motion import wrap
 
 CHANNELS = ("roll", "pitch", "gyro_x", "gyro_y", "gyro_z")
 _SAMPLES, _SECONDS = 5, 0.2  # a bin holds at least so many, and lasts at least so long

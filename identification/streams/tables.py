@@ -11,11 +11,11 @@ from typing import BinaryIO
 
 import pandas as pd
 
-from identification.streams.columns import mapped, values
-from identification.streams.health import Tally
-from identification.table_files import decoded, header, parquet, readable
-from urdf.description import Measure
-from urdf.input_files import bounded_each
+from kincal.identification.streams.columns import mapped, values
+from kincal.identification.streams.health import Tally
+from kincal.identification.table_files import decoded, header, parquet, readable
+from kincal.urdf.description import Measure
+from kincal.urdf.input_files import bounded_each
 
 ROWS = 50_000  # a chunk
 _LONGEST = 1 << 16  # bytes of a line: beyond it is garbage

@@ -15,7 +15,7 @@ from itertools import pairwise
 import numpy as np
 import pandas as pd
 
-from identification.streams.health import Tally
+from kincal.identification.streams.health import Tally
 
 CONFIRMED = 10  # samples in a row that agree with each other: a clock, not a wrong stamp
 GAP = 5.0  # sample intervals

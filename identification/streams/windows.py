@@ -6,11 +6,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from identification.streams.campaign import DroppedPose
-from identification.streams.commands import Holds
-from identification.streams.stillness import Bins
-from urdf.description import Log
-from urdf.rigid_motion import wrap
+from kincal.identification.streams.campaign import DroppedPose
+from kincal.identification.streams.commands import Holds
+from kincal.identification.streams.stillness import Bins
+from kincal.urdf.description import Log
+from kincal.urdf.rigid_motion import wrap
 
 _MOST = 0.9  # of the moves that are seen: one pose that is long restless says nothing of the others
 _DRIFT = 5.0  # standard errors of a stretch's drift

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.constants import g
 
-from pipeline.sea.settings import Vessel
+from kincal.pipeline.sea.settings import Vessel
 
 _AFT = 0.6  # delta, the share of the length at full beam in the two-beam hull of roll
 _SMALL = 1e-9

@@ -12,11 +12,11 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.constants import g
 
-from identification.channels import parts
-from pipeline.compensation import attempt
-from pipeline.goal import Goal
-from pipeline.sea.trial import Platform, deck_error
-from pipeline.virtual_robot import STANDING
+from kincal.identification.channels import parts
+from kincal.pipeline.methods.commands import attempt
+from kincal.pipeline.methods.goal import Goal
+from kincal.pipeline.sea.trial import Platform, deck_error
+from kincal.pipeline.virtual.robot import STANDING
 
 
 @dataclass(frozen=True)

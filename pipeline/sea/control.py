@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.signal import lfilter, lfiltic
 
-from urdf.rigid_motion import exp, from_zyx_angles, zyx_angles
+from kincal.urdf.rigid_motion import exp, from_zyx_angles, zyx_angles
 
 
 def levelling(angles: np.ndarray, yaw: float) -> np.ndarray:

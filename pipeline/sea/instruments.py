@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.signal import lfilter
 
-from identification.attitude.presets import SensorPreset
-from identification.attitude.settings import Samples
+from kincal.identification.attitude.presets import SensorPreset
+from kincal.identification.attitude.settings import Samples
 
 
 @dataclass(frozen=True)

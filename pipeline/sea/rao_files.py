@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.constants import knot
 
-from pipeline.sea.rao import MODES, RaoTable
-from urdf.description import Column, listed
-from urdf.errors import InputError
-from urdf.input_files import bounded, check_file
+from kincal.pipeline.sea.rao import MODES, RaoTable
+from kincal.urdf.description import Column, listed
+from kincal.urdf.errors import InputError
+from kincal.urdf.input_files import bounded, check_file
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -49,8 +49,8 @@ def read_rao(file: Path, speed: float) -> RaoTable:
 
 def _own(file: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """frequency (f,), direction (d,), speeds (s,), values (s, f, d, 6) of kincal's own table."""
-    from identification.table_files import load
-    from urdf.description import Measure
+    from kincal.identification.table_files import load
+    from kincal.urdf.description import Measure
 
     raw = load(file, Measure())
     if raw.empty:
@@ -78,7 +78,7 @@ def _own(file: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
 
 
 def _column(raw: pd.DataFrame, name: str, file: Path) -> np.ndarray:
-    from identification.measurements import numbers
+    from kincal.identification.measurements import numbers
 
     if name not in raw:
         raise InputError(f"{file}: column {name!r} is missing; it has {listed(raw.columns)}")

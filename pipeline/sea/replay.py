@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from scipy.interpolate import make_interp_spline
 
-from pipeline.sea.ship_motion import ShipMotion
-from urdf.errors import InputError
+from kincal.pipeline.sea.ship_motion import ShipMotion
+from kincal.urdf.errors import InputError
 
 LONGEST_GAP = 2.5  # [s]; waves of four seconds are no longer seen across it
 _FEWEST = 10  # samples

@@ -6,9 +6,9 @@ from typing import TYPE_CHECKING, cast
 
 import numpy as np
 
-from pipeline.sea.rao import Rao
-from pipeline.sea.settings import Seaway
-from pipeline.sea.waves import spectrum, spreading
+from kincal.pipeline.sea.rao import Rao
+from kincal.pipeline.sea.settings import Seaway
+from kincal.pipeline.sea.waves import spectrum, spreading
 
 if TYPE_CHECKING:
     from waveresponse import DirectionalBinSpectrum, WaveBinSpectrum

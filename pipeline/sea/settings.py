@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 from scipy.constants import knot
 
-from urdf.description import File, Positive
+from kincal.urdf.description import File, Positive
 
 # Significant wave height [m] (mean of the range) and most probable peak period [s] of the open North Atlantic: NATO's
 # STANAG 4194, after Bales, Lee & Voelker 1981 (DTNSRDC/SPD-0919-01). The ranges are those of the WMO's code 3700.

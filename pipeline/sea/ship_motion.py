@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.constants import g
 
-from urdf.rigid_motion import cross, from_zyx_angles
+from kincal.urdf.rigid_motion import cross, from_zyx_angles
 
 UP = np.array([0.0, 0.0, 1.0])
 

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from pipeline.sea.closed_form import ClosedFormRao
-from pipeline.sea.rao import Rao
-from pipeline.sea.rao_files import read_rao
-from pipeline.sea.settings import Seaway
-from pipeline.sea.ship_motion import ShipMotion
-from pipeline.sea.waves import drawn, spectrum
-from urdf.errors import InputError
+from kincal.pipeline.sea.closed_form import ClosedFormRao
+from kincal.pipeline.sea.rao import Rao
+from kincal.pipeline.sea.rao_files import read_rao
+from kincal.pipeline.sea.settings import Seaway
+from kincal.pipeline.sea.ship_motion import ShipMotion
+from kincal.pipeline.sea.waves import drawn, spectrum
+from kincal.urdf.errors import InputError
 
 _COVERED = 0.95  # of the waves' energy, at least, by a table of responses
 

@@ -16,29 +16,29 @@ from typing import TYPE_CHECKING, Annotated
 import numpy as np
 from pydantic import Field
 
-from identification.accuracy import gravity_error, orientation_error
-from identification.attitude.filter import filter_attitude
-from identification.attitude.presets import SensorPreset, preset
-from identification.attitude.settings import AttitudeSettings, InnovationStatistics
-from identification.attitude.smoother import smooth_attitude
-from identification.channels import all_turns, parts
-from pipeline.compensation import Attempt, attempt
-from pipeline.compensator import Compensator
-from pipeline.goal import WHOLE
-from pipeline.methods import HybridMethod, Method, ModelMethod
-from pipeline.results import RAW
-from pipeline.sea.control import ahead, followed, kept, lag, late, levelling
-from pipeline.sea.instruments import sensed
-from pipeline.sea.settings import Table
-from pipeline.sea.ship_motion import ShipMotion
-from pipeline.virtual_errors import Circumstances
-from pipeline.virtual_robot import STANDING, VirtualRobot
-from urdf.description import Positive, RobotDescription
-from urdf.errors import InputError
-from urdf.rigid_motion import Motion, exp, log, zyx_angles
+from kincal.identification.accuracy import gravity_error, orientation_error
+from kincal.identification.attitude.filter import filter_attitude
+from kincal.identification.attitude.presets import SensorPreset, preset
+from kincal.identification.attitude.settings import AttitudeSettings, InnovationStatistics
+from kincal.identification.attitude.smoother import smooth_attitude
+from kincal.identification.channels import all_turns, parts
+from kincal.pipeline.compensator.compensator import Compensator
+from kincal.pipeline.methods.commands import Attempt, attempt
+from kincal.pipeline.methods.goal import WHOLE
+from kincal.pipeline.methods.predictors import HybridMethod, Method, ModelMethod
+from kincal.pipeline.results import RAW
+from kincal.pipeline.sea.control import ahead, followed, kept, lag, late, levelling
+from kincal.pipeline.sea.instruments import sensed
+from kincal.pipeline.sea.settings import Table
+from kincal.pipeline.sea.ship_motion import ShipMotion
+from kincal.pipeline.virtual.errors import Circumstances
+from kincal.pipeline.virtual.robot import STANDING, VirtualRobot
+from kincal.urdf.description import Positive, RobotDescription
+from kincal.urdf.errors import InputError
+from kincal.urdf.rigid_motion import Motion, exp, log, zyx_angles
 
 if TYPE_CHECKING:
-    from identification.error_model import ErrorModel
+    from kincal.identification.error_model import ErrorModel
 
 START_S = 120.0  # before the trial: the filter starts cold
 _AT_ONCE = 20_000  # samples: memory

@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pipeline.paper import AXES, HARDWARE
-from pipeline.sea.configurations import Configurations
-from pipeline.sea.trial import SeaTrial
-from pipeline.tables import Table, degrees
+from kincal.pipeline.report.paper import AXES, HARDWARE
+from kincal.pipeline.report.tables import Table, degrees
+from kincal.pipeline.sea.configurations import Configurations
+from kincal.pipeline.sea.trial import SeaTrial
 
 if TYPE_CHECKING:
     import pandas as pd

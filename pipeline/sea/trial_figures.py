@@ -8,10 +8,10 @@ import numpy as np
 from matplotlib import rc_context
 from matplotlib.figure import Figure
 
-from pipeline.figures import COLOURS, GREY, STYLE, clean, svg
-from pipeline.results import RAW
-from pipeline.sea.configurations import Configurations
-from pipeline.sea.trial import SeaTrial
+from kincal.pipeline.report.figures import COLOURS, GREY, STYLE, clean, svg
+from kincal.pipeline.results import RAW
+from kincal.pipeline.sea.configurations import Configurations
+from kincal.pipeline.sea.trial import SeaTrial
 
 _DRAWN = ("nominal", "network", "transfer", "hybrid")  # in figures 13 and 14: the paper's three, and ours
 _ABOUT = ("about x", "about y", "about z", "volumetric")
@@ -91,7 +91,7 @@ def _by_configuration(poses: Configurations, rows: np.ndarray, full: bool) -> Fi
 
 def _in_space(poses: Configurations) -> Figure:
     """Volumetric errors over all configurations, before and after."""
-    from urdf.rigid_motion import xyz_angles
+    from kincal.urdf.rigid_motion import xyz_angles
 
     figure = Figure(figsize=(10.5, 3.9))
     at = np.rad2deg(xyz_angles(poses.desired))

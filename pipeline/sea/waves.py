@@ -8,7 +8,7 @@ import numpy as np
 from scipy.constants import g
 from scipy.integrate import cumulative_trapezoid
 
-from pipeline.sea.settings import Seaway
+from kincal.pipeline.sea.settings import Seaway
 
 COMPONENTS = 1000  # harmonic waves in a record
 _LOW, _HIGH = 0.5, 6.0  # of the peak frequency: outside is a thousandth of the energy

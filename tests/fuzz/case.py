@@ -13,9 +13,9 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
+from kincal.urdf.errors import CalibrationError, InputError
 from tests.fuzz.seeds import Files
 from tests.fuzz.targets import Target
-from urdf.errors import CalibrationError, InputError
 
 MEGABYTES = 1500.0  # that a case may add to what the process has
 LETTERS = 2000  # of a message

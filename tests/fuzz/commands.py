@@ -15,11 +15,11 @@ from pathlib import Path
 from random import Random
 
 from benchmarks.small import QUICK
+from kincal.urdf.description import ROBOTS
 from tests.fuzz import seeds
 from tests.fuzz.case import ROOT, Result
 from tests.fuzz.mutations import NUMBERS, TEXTS
 from tests.fuzz.targets import spoil
-from urdf.description import ROBOTS
 
 SECONDS = 60.0  # a command may have a stage to run
 MEGABYTES = 1500.0
@@ -134,12 +134,12 @@ class Kincal:
             "-m",
             "tests.fuzz.measured",
             "-m",
-            "pipeline.cli",
+            "kincal",
             arguments[0],
             *own,
             *arguments[1:],
         ]
-        environment = os.environ | {"PYTHONPATH": str(ROOT), "PYTHONDONTWRITEBYTECODE": "1"}
+        environment = os.environ | {"PYTHONPATH": str(ROOT / "src"), "PYTHONDONTWRITEBYTECODE": "1"}
         began = time.perf_counter()
         done = subprocess.run(
             command, cwd=folder, env=environment, capture_output=True, text=True, errors="replace", timeout=SECONDS

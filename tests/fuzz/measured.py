@@ -1,4 +1,4 @@
-"""`python -m tests.fuzz.measured -m pipeline.cli ..`: the command; stderr's last line is its peak of memory [MB]."""
+"""`python -m tests.fuzz.measured -m kincal ..`: the command; stderr's last line is its peak of memory [MB]."""
 
 import atexit
 import resource

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from urdf.description import ROBOTS
+from kincal.urdf.description import ROBOTS
 
 Files = dict[str, bytes]
 DATA = Path(__file__).parents[1] / "data"

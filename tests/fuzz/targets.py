@@ -78,9 +78,9 @@ def spoil(name: str, content: bytes, random: Random) -> bytes:
 
 @lru_cache
 def _ups3_s() -> tuple[Any, Any]:
-    from urdf.actuators import Actuators
-    from urdf.closed_chain import load_chain
-    from urdf.description import load_robot
+    from kincal.urdf.actuators import Actuators
+    from kincal.urdf.closed_chain import load_chain
+    from kincal.urdf.description import load_robot
 
     description = load_robot("ups3_s").description
     chain = load_chain(description.mechanism, description.urdf.read_text(), description.urdf)
@@ -88,45 +88,45 @@ def _ups3_s() -> tuple[Any, Any]:
 
 
 def _described(folder: Path) -> Any:
-    from urdf.description import load_robot
+    from kincal.urdf.description import load_robot
 
     return load_robot(str(folder / "robot.toml")).description
 
 
 def _drawn(folder: Path) -> None:
     """The drawing and the chain, without closing its loops."""
-    from urdf.closed_chain import load_chain
-    from urdf.input_files import read_text
+    from kincal.urdf.closed_chain import load_chain
+    from kincal.urdf.input_files import read_text
 
     described = _described(folder)
     load_chain(described.mechanism, read_text(described.urdf), described.urdf)
 
 
 def _modelled(folder: Path) -> None:
-    from pipeline import stages
+    from kincal.pipeline.stages import drawing
 
     described = _described(folder)
-    stages.model(described.mechanism, described.urdf)
+    drawing.model(described.mechanism, described.urdf)
 
 
 def _proposed(folder: Path) -> None:
-    from urdf.proposal import propose
-    from urdf.proposed_toml import robot_toml
+    from kincal.urdf.proposal import propose
+    from kincal.urdf.proposed_toml import robot_toml
 
     drawing = next(f for f in folder.iterdir() if f.suffix in (".urdf", ".xml"))
     robot_toml(propose(drawing), drawing, folder / "robot.toml")
 
 
 def _override(folder: Path) -> None:
-    from urdf.description import load_robot
+    from kincal.urdf.description import load_robot
 
     load_robot("ups3_s", [(folder / "text").read_bytes().decode(errors="surrogateescape")])
 
 
 def _over(folder: Path) -> None:
-    from pipeline.grid import combinations, parse_over
-    from urdf.description import load_robot
-    from urdf.errors import InputError
+    from kincal.pipeline.studies.grid import combinations, parse_over
+    from kincal.urdf.description import load_robot
+    from kincal.urdf.errors import InputError
 
     over = parse_over((folder / "text").read_bytes().decode(errors="surrogateescape"))
     combinations([over])
@@ -154,8 +154,8 @@ def _texts(texts: Sequence[str]) -> list[Files]:
 
 def _measured(folder: Path, measured: bool, joints: Sequence[str]) -> None:
     """As `measure`, `evaluate`, `predict` (joint values alone) and `compensate` (poses alone) read a table."""
-    from identification.measurements import check_readings, read_table, to_measurements
-    from urdf.description import Measure, Sensor, Tolerance
+    from kincal.identification.measurements import check_readings, read_table, to_measurements
+    from kincal.urdf.description import Measure, Sensor, Tolerance
 
     (file,) = folder.iterdir()
     chain, actuators = _ups3_s()
@@ -167,16 +167,16 @@ def _measured(folder: Path, measured: bool, joints: Sequence[str]) -> None:
 
 
 def _columns(folder: Path) -> None:
-    from urdf.description import read_columns
+    from kincal.urdf.description import read_columns
 
     read_columns(folder / "columns.toml")
 
 
 def _logged(folder: Path) -> None:
     """A stream alone, whatever its format; then as a motion that is played again."""
-    from identification.streams.reading import read_log
-    from pipeline.sea.replay import replayed
-    from urdf.description import Log, Measure
+    from kincal.identification.streams.reading import read_log
+    from kincal.pipeline.sea.replay import replayed
+    from kincal.urdf.description import Log, Measure
 
     bag = len(list(folder.iterdir())) > 1
     file = folder if bag else next(folder.iterdir())
@@ -187,9 +187,9 @@ def _logged(folder: Path) -> None:
 
 def _posed(folder: Path) -> None:
     """A stream that says which pose a sample is of, and the filter over it."""
-    from identification.inclinometer import filter_stream
-    from identification.streams.reading import read_stream
-    from urdf.description import Filter, Measure, Sensor
+    from kincal.identification.inclinometer import filter_stream
+    from kincal.identification.streams.reading import read_stream
+    from kincal.urdf.description import Filter, Measure, Sensor
 
     (file,) = folder.iterdir()
     samples, _ = read_stream(file, Measure(streams=file, table="-"))
@@ -197,15 +197,15 @@ def _posed(folder: Path) -> None:
 
 
 def _campaign(folder: Path) -> None:
-    from identification.streams.static_poses import static_poses
-    from urdf.description import Measure
+    from kincal.identification.streams.static_poses import static_poses
+    from kincal.urdf.description import Measure
 
     commands = next(f for f in folder.iterdir() if f.stem == "commands")
     static_poses(Measure(streams=next(f for f in folder.iterdir() if f.stem == "log"), commands=commands), LEGS)
 
 
 def _rao(folder: Path) -> None:
-    from pipeline.sea.rao_files import read_rao
+    from kincal.pipeline.sea.rao_files import read_rao
 
     (file,) = folder.iterdir()
     read_rao(file, 0.0)
@@ -214,9 +214,9 @@ def _rao(folder: Path) -> None:
 @lru_cache
 def _values() -> dict[str, Any]:
     """{stage: a small result of its kind}."""
-    from learning.network import Network
-    from pipeline.results import Fit, Html, Measured, PosePlan, Pretrained, Report, Truth
-    from urdf.description import VirtualErrors
+    from kincal.learning.network import Network
+    from kincal.pipeline.results import Fit, Html, Measured, PosePlan, Pretrained, Report, Truth
+    from kincal.urdf.description import VirtualErrors
 
     weights = Network((3, 2, 2, 4), np.linspace(0, 1, 26), np.zeros(3), np.ones(3), np.ones(4))
     truth = Truth(np.arange(3.0), np.zeros(3), np.ones(3), VirtualErrors())
@@ -232,7 +232,7 @@ def _values() -> dict[str, Any]:
 def _artifacts(resealed: bool) -> list[Files]:
     import tempfile
 
-    from pipeline.artifacts import Store
+    from kincal.pipeline.store.store import Store
 
     found = []
     for stage, value in _values().items():
@@ -247,8 +247,11 @@ def _stored(folder: Path, resealed: bool) -> None:
     """An artifact from the store: what was stored, or damage; resealed: whatever its manifest can say of itself."""
     import json
 
-    from pipeline.artifacts import Damaged, Store, digest, encode
-    from pipeline.runner import explain
+    from kincal.pipeline.run.changes import explain
+    from kincal.pipeline.store.codec import encode
+    from kincal.pipeline.store.digests import digest
+    from kincal.pipeline.store.manifest import Damaged
+    from kincal.pipeline.store.store import Store
 
     stage = next(folder.iterdir()).name
     value, store, key = _values()[stage], Store(folder.parent / "cwd" / "store"), 64 * "a"
@@ -278,7 +281,7 @@ def _stored(folder: Path, resealed: bool) -> None:
             found = store.load(entry, type(value))
             assert resealed or encode(found) == encode(value), "another value was served"
     except Damaged as damage:
-        from urdf.errors import InputError
+        from kincal.urdf.errors import InputError
 
         raise InputError(str(damage)) from None  # what the runner heals
     finally:

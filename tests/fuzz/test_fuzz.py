@@ -4,10 +4,10 @@ from pathlib import Path
 
 import pytest
 
+from kincal.urdf.errors import InputError
 from tests.fuzz.campaign import campaign
 from tests.fuzz.case import MEGABYTES, run
 from tests.fuzz.targets import TARGETS, Target
-from urdf.errors import InputError
 
 CASES = 600
 

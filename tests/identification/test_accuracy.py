@@ -8,8 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from identification.accuracy import gravity_error, orientation_error, score
-from urdf.rigid_motion import Motion, vee
+from kincal.identification.accuracy import gravity_error, orientation_error, score
+from kincal.urdf.rigid_motion import Motion, vee
 
 
 def pairs(seed: int, size: float, n: int = 30) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

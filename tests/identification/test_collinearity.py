@@ -7,10 +7,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from identification.collinearity import collinearity
-from identification.error_model import Parameters
-from identification.estimators import register
-from identification.identifiability import identifiability
+from kincal.identification.collinearity import collinearity
+from kincal.identification.error_model import Parameters
+from kincal.identification.estimators import register
+from kincal.identification.identifiability import identifiability
 
 N_FRAMES = 12  # W and T: flat
 

@@ -10,13 +10,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from identification.d_optimal import MAX_POSES, Design, candidates, d_optimal, log_det, select
-from identification.expected import all_feasible, expected, feasible, information, of_one_row, prior_sigma
-from identification.poses import planned, travel_order
-from urdf.description import Instruments, Plan, Sensor, Stream, Tolerance
-from urdf.errors import InputError
-from urdf.kinematics import forward, tool_coordinates
-from urdf.workspace import bounds, condition_numbers, sample
+from kincal.identification.d_optimal import MAX_POSES, Design, candidates, d_optimal, log_det, select
+from kincal.identification.expected import all_feasible, expected, feasible, information, of_one_row, prior_sigma
+from kincal.identification.poses import planned, travel_order
+from kincal.urdf.description import Instruments, Plan, Sensor, Stream, Tolerance
+from kincal.urdf.errors import InputError
+from kincal.urdf.kinematics import forward, tool_coordinates
+from kincal.urdf.workspace import bounds, condition_numbers, sample
 
 CASES = [
     ("ups3_s", ("orientation",)),

@@ -8,15 +8,15 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from identification.diagnosis import moved_far, registered
-from identification.error_model import Parameters
-from identification.estimators import identify, register
-from identification.measurements import default_channels, to_measurements, to_table
-from identification.summary import summarise
-from pipeline.virtual_robot import VirtualRobot, draw, measure
-from urdf.description import ROBOTS, VirtualErrors
-from urdf.errors import CalibrationError, InputError
-from urdf.rigid_motion import Motion
+from kincal.identification.diagnosis import moved_far, registered
+from kincal.identification.error_model import Parameters
+from kincal.identification.estimators import identify, register
+from kincal.identification.measurements import default_channels, to_measurements, to_table
+from kincal.identification.summary import summarise
+from kincal.pipeline.virtual.robot import VirtualRobot, draw, measure
+from kincal.urdf.description import ROBOTS, VirtualErrors
+from kincal.urdf.errors import CalibrationError, InputError
+from kincal.urdf.rigid_motion import Motion
 
 SIGMA = {"orientation": 1e-5, "tilt": 2e-5, "yaw": 2e-5, "position": 2e-5}
 FAR_W = Motion(Rotation.from_rotvec([2.0, -1.0, 1.5]).as_matrix(), np.array([2.0, -1.0, 0.7]))

@@ -6,10 +6,10 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from identification.elimination import eliminate
-from identification.symbolic_chain import joint_frames, loop_equations, loop_rates, tool_placement, tool_rates
-from urdf.kinematics import loop_error, loop_jacobian, tool_coordinates, tool_jacobian, tool_pose, tree
-from urdf.rigid_motion import xyz_rates
+from kincal.identification.elimination import eliminate
+from kincal.identification.symbolic_chain import joint_frames, loop_equations, loop_rates, tool_placement, tool_rates
+from kincal.urdf.kinematics import loop_error, loop_jacobian, tool_coordinates, tool_jacobian, tool_pose, tree
+from kincal.urdf.rigid_motion import xyz_rates
 
 
 @given(st.integers(1, 7), st.integers(1, 3), st.floats(0.2, 1.0), st.integers(0, 10**6))

@@ -11,14 +11,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from identification.error_model import ErrorModel
-from identification.estimators import Estimate, identify, register
-from identification.measurements import Measurements
-from identification.robust_loss import Loss
-from identification.summary import summarise
-from urdf.description import Identify, Tolerance
-from urdf.errors import CalibrationError, InputError
-from urdf.rigid_motion import log
+from kincal.identification.error_model import ErrorModel
+from kincal.identification.estimators import Estimate, identify, register
+from kincal.identification.measurements import Measurements
+from kincal.identification.robust_loss import Loss
+from kincal.identification.summary import summarise
+from kincal.urdf.description import Identify, Tolerance
+from kincal.urdf.errors import CalibrationError, InputError
+from kincal.urdf.rigid_motion import log
 
 N_FRAMES = 12
 ESTIMATORS = ("map", "least_squares", "ridge", "liu", "truncated_svd")

@@ -15,13 +15,13 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from identification import table_files
-from identification.measurements import read_table
-from identification.streams.reading import read_log
-from identification.table_files import load
-from urdf import input_files
-from urdf.description import Log, Measure
-from urdf.errors import InputError
+from kincal.identification import table_files
+from kincal.identification.measurements import read_table
+from kincal.identification.streams.reading import read_log
+from kincal.identification.table_files import load
+from kincal.urdf import input_files
+from kincal.urdf.description import Log, Measure
+from kincal.urdf.errors import InputError
 
 
 def refused(read, *said: str) -> None:
@@ -147,11 +147,14 @@ def test_the_bound_leaves_room_for_a_process_that_has_just_begun(tmp_path):
     """Libraries reserve memory at their first call, which no file is to blame for."""
     columns = {name: [1.0, 2.0] for name in ("pose", "a", "x", "y", "z")}
     written(columns, tmp_path / "t.parquet")
-    imports = (
-        "from pathlib import Path; from identification.table_files import load; from urdf.description import Measure"
-    )
-    call = [sys.executable, "-c", f"{imports}; assert len(load(Path('t.parquet'), Measure())) == 2"]
-    environment = os.environ | {"PYTHONPATH": str(Path(__file__).parents[2])}
+    code = """
+from pathlib import Path
+from kincal.identification.table_files import load
+from kincal.urdf.description import Measure
+assert len(load(Path('t.parquet'), Measure())) == 2
+"""
+    call = [sys.executable, "-c", code]
+    environment = os.environ | {"PYTHONPATH": str(Path(__file__).parents[2] / "src")}
     done = subprocess.run(call, cwd=tmp_path, env=environment, capture_output=True, text=True, timeout=60)
     assert done.returncode == 0, done.stderr
 

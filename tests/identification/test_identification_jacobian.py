@@ -11,7 +11,7 @@ import pinocchio as pin
 import pytest
 from scipy.spatial.transform import Rotation
 
-from urdf.rigid_motion import Motion, skew
+from kincal.urdf.rigid_motion import Motion, skew
 
 ROBOTS = ("ups3_s", "jugglebot", "ur10", "ups3_frame", "rps3", "ups2_u")
 LARGE_ROBOTS = ("gough_stewart", "linear_delta")  # finite differences of their many parameters take long

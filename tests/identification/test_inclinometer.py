@@ -7,12 +7,12 @@ import pandas as pd
 import pytest
 from scipy.spatial.transform import Rotation
 
-from identification.inclinometer import filter_stream
-from identification.streams.reading import read_stream
-from pipeline.virtual_robot import stream_of
-from urdf.description import Filter, Measure, Sensor, Stream
-from urdf.errors import InputError
-from urdf.rigid_motion import Motion
+from kincal.identification.inclinometer import filter_stream
+from kincal.identification.streams.reading import read_stream
+from kincal.pipeline.virtual.robot import stream_of
+from kincal.urdf.description import Filter, Measure, Sensor, Stream
+from kincal.urdf.errors import InputError
+from kincal.urdf.rigid_motion import Motion
 
 SENSOR = Sensor(tilt_deg=0.01, yaw_deg=0.01)
 STREAM = Stream(rate_hz=50, seconds=5, outliers=0.01, outlier_deg=2.0, dropouts=0.02)

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from identification.estimators import identify, register
-from identification.measurements import read_table, to_measurements
-from identification.summary import summarise
+from kincal.identification.estimators import identify, register
+from kincal.identification.measurements import read_table, to_measurements
+from kincal.identification.summary import summarise
 
 
 @pytest.fixture(scope="module")

@@ -12,9 +12,9 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from scipy.spatial.transform import Rotation
 
-from identification.measurements import check_readings, quaternions, read_table, to_measurements, to_table
-from urdf.description import Measure, Sensor
-from urdf.errors import InputError
+from kincal.identification.measurements import check_readings, quaternions, read_table, to_measurements, to_table
+from kincal.urdf.description import Measure, Sensor
+from kincal.urdf.errors import InputError
 
 JOINTS = ("leg1_slide", "leg2_slide", "leg3_slide")
 HEADER = "pose,leg1_slide,leg2_slide,leg3_slide,qx,qy,qz,qw"

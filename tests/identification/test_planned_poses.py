@@ -7,10 +7,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from identification.poses import chosen, equal_parts, folds, held_out, planned
-from urdf.description import Plan, Split
-from urdf.errors import InputError
-from urdf.workspace import grid
+from kincal.identification.poses import chosen, equal_parts, folds, held_out, planned
+from kincal.urdf.description import Plan, Split
+from kincal.urdf.errors import InputError
+from kincal.urdf.workspace import grid
 
 
 def poses(loaded, n: int, seed: int = 0, layout=None) -> np.ndarray:

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 from scipy.stats import chi
 
-from identification.accuracy import gravity_error, orientation_error
-from identification.expected import FLAT, all_feasible, information, prior_sigma
-from identification.identifiability import identifiability
-from identification.observability import Observability, indexes, observability
-from identification.predicted_accuracy import Probe, mean_length
-from urdf.workspace import sample
+from kincal.identification.accuracy import gravity_error, orientation_error
+from kincal.identification.expected import FLAT, all_feasible, information, prior_sigma
+from kincal.identification.identifiability import identifiability
+from kincal.identification.observability import Observability, indexes, observability
+from kincal.identification.predicted_accuracy import Probe, mean_length
+from kincal.urdf.workspace import sample
 
 CASES = [
     ("ups3_s", ("orientation",)),

@@ -7,8 +7,8 @@ import re
 import numpy as np
 import pytest
 
-from identification.estimators import identify
-from identification.identifiability import identifiability
+from kincal.identification.estimators import identify
+from kincal.identification.identifiability import identifiability
 
 CASES = [
     ("ur10", ("orientation", "position")),

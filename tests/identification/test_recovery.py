@@ -7,12 +7,12 @@ import pytest
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
-from identification.error_model import ErrorModel
-from identification.estimators import identify, register
-from identification.summary import summarise
-from urdf.description import Identify
-from urdf.errors import CalibrationError, InputError
-from urdf.rigid_motion import Motion
+from kincal.identification.error_model import ErrorModel
+from kincal.identification.estimators import identify, register
+from kincal.identification.summary import summarise
+from kincal.urdf.description import Identify
+from kincal.urdf.errors import CalibrationError, InputError
+from kincal.urdf.rigid_motion import Motion
 
 FAR_W = Motion(Rotation.from_rotvec([2.0, -1.0, 1.5]).as_matrix(), np.array([2.0, -1.0, 0.7]))
 FAR_T = Motion(Rotation.from_rotvec([-0.5, 1.0, 2.0]).as_matrix(), np.array([0.1, 0.0, 0.3]))

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from identification.estimators import register
-from identification.registration import starts
-from urdf.errors import CalibrationError, InputError
-from urdf.kinematics import inverse
-from urdf.rigid_motion import Motion
+from kincal.identification.estimators import register
+from kincal.identification.registration import starts
+from kincal.urdf.errors import CalibrationError, InputError
+from kincal.urdf.kinematics import inverse
+from kincal.urdf.rigid_motion import Motion
 
 SEEDS = range(20)
 

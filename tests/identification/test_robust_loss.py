@@ -8,12 +8,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.stats import chi2
 
-from identification.estimators import identify, register
-from identification.measurements import Measurements
-from identification.robust_loss import Loss, blocks
-from identification.summary import summarise
-from urdf.description import Identify
-from urdf.rigid_motion import exp
+from kincal.identification.estimators import identify, register
+from kincal.identification.measurements import Measurements
+from kincal.identification.robust_loss import Loss, blocks
+from kincal.identification.summary import summarise
+from kincal.urdf.description import Identify
+from kincal.urdf.rigid_motion import exp
 
 KINDS = ("gaussian", "huber", "cauchy")
 ROBUST = KINDS[1:]

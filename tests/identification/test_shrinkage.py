@@ -13,7 +13,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from identification.shrinkage import (
+from kincal.identification.shrinkage import (
     N_FRAMES,
     Linear,
     choose_by_folds,

@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from identification.static_poses import static_attitude, static_attitudes
-from urdf.description import Filter
+from kincal.identification.static_poses import static_attitude, static_attitudes
+from kincal.urdf.description import Filter
 
 
 def _recorded(seed: int, counts: np.ndarray, k: int, sigma: float, outliers: float):

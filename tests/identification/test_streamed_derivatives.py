@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from identification import compiled as compilation
-from identification import error_model
-from identification.estimators import identify, register
-from identification.robust_loss import Loss
+from kincal.identification import compiled as compilation
+from kincal.identification import error_model
+from kincal.identification.estimators import identify, register
+from kincal.identification.robust_loss import Loss
 
 CHANNELS = ("orientation", "position")
 
@@ -100,7 +100,7 @@ def test_many_poses_are_compiled_and_few_are_not(measured, monkeypatch):
 
 
 def test_singular_values_where_the_fast_driver_gives_up(monkeypatch):
-    from identification.singular_values import svd
+    from kincal.identification.singular_values import svd
 
     matrix = np.random.default_rng(1).normal(size=(9, 5))
     expected = np.sqrt(np.linalg.eigvalsh(matrix.T @ matrix))[::-1]

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.stats import chi2, multivariate_normal
 
-from learning.evidence import Posterior, Rows, cross_validated, inflation, posterior
+from kincal.learning.evidence import Posterior, Rows, cross_validated, inflation, posterior
 
 ALL = slice(None)
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from learning.inherit import inherit
+from kincal.learning.inherit import inherit
 
 JOINTS = 3
 

@@ -6,8 +6,8 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
-from learning.network import Network, Sizes, count, initial_weights, split
-from learning.transfer import new_network
+from kincal.learning.network import Network, Sizes, count, initial_weights, split
+from kincal.learning.transfer import new_network
 
 SIZES = st.tuples(*[st.integers(1, 9)] * 4)
 

@@ -4,10 +4,10 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from learning.correction import Correction, Hull, Spread
-from learning.network import Network, count
-from learning.symbolic import delta, share
-from learning.units import Inherited, Units, shared_units
+from kincal.learning.correction import Correction, Hull, Spread
+from kincal.learning.network import Network, count
+from kincal.learning.symbolic import delta, share
+from kincal.learning.units import Inherited, Units, shared_units
 
 GROUPS = {
     "own": (6, 0, 0, False),

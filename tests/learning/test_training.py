@@ -7,12 +7,12 @@ import pytest
 import torch
 from scipy.optimize import least_squares
 
-from learning import training
-from learning.first_order import adam
-from learning.members import Problem
-from learning.network import Network, Sizes, initial_weights
-from learning.normal_equations import Dual, Primal, Rows, linearised
-from learning.training import levenberg_marquardt
+from kincal.learning import training
+from kincal.learning.first_order import adam
+from kincal.learning.members import Problem
+from kincal.learning.network import Network, Sizes, initial_weights
+from kincal.learning.normal_equations import Dual, Primal, Rows, linearised
+from kincal.learning.training import levenberg_marquardt
 
 
 def network(sizes: Sizes, weights: torch.Tensor, x: torch.Tensor) -> torch.Tensor:
@@ -60,7 +60,7 @@ def test_normal_equations(rows, monkeypatch):
     normal = torch.einsum("bn,bnmi,bnmj->bij", train, jacobian, jacobian)
     gradient = torch.einsum("bn,bnmi,bnm->bi", train, jacobian, errors)
     given = Rows.of(task.x, task.offset, task.gain, task.train)
-    monkeypatch.setattr("learning.normal_equations._CHUNK", 3)  # so that there are several chunks
+    monkeypatch.setattr("kincal.learning.normal_equations._CHUNK", 3)  # so that there are several chunks
     for k, found in enumerate(Primal.of(weights, sizes, given)):
         close(found.normal, normal[k])
         close(found.gradient, gradient[k])
@@ -314,7 +314,7 @@ def test_who_has_stopped_is_computed_no_further(monkeypatch):
         counted.append(len(weights))
         return linearised(weights, *others)
 
-    monkeypatch.setattr("learning.training.linearised", count_members)
+    monkeypatch.setattr("kincal.learning.training.linearised", count_members)
     sizes = (2, 3, 3, 2)
     true = random_start(sizes, 2)
     x = np.random.default_rng(1).uniform(-1, 1, (2, 60, 2))
@@ -333,7 +333,7 @@ def test_a_refused_step_keeps_its_linearisation(monkeypatch):
     """Every linearisation but the first follows a step that led down: as many as iterations, whatever was refused."""
     counted, tried = [], []
     monkeypatch.setattr(
-        "learning.training.linearised", lambda w, *others: counted.append(len(w)) or linearised(w, *others)
+        "kincal.learning.training.linearised", lambda w, *others: counted.append(len(w)) or linearised(w, *others)
     )
     squares = Rows.squares
     monkeypatch.setattr(Rows, "squares", lambda *given: tried.append(len(given[1])) or squares(*given))

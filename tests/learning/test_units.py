@@ -8,9 +8,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from learning.correction import Correction, Hull, Spread
-from learning.network import Network, initial_weights
-from learning.units import INHERITED, OWN, SHARED, WAVES, Inherited, Units, range_of, shared_units
+from kincal.learning.correction import Correction, Hull, Spread
+from kincal.learning.network import Network, initial_weights
+from kincal.learning.units import INHERITED, OWN, SHARED, WAVES, Inherited, Units, range_of, shared_units
 
 JOINTS = 3
 MARGIN = 0.4  # in scaled inputs: a fifth of a range, which is 2 wide

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import settings as profile
 from hypothesis import strategies as st
 
-from learning.waves import find_waves
+from kincal.learning.waves import find_waves
 
 JOINTS, ROWS = 3, 3
 

@@ -13,23 +13,24 @@ import pandas as pd
 import pytest
 
 from benchmarks.small import QUICK, SMALL
-from identification.error_model import ErrorModel
-from identification.estimators import identify, register
-from identification.measurements import Measurements
-from learning.correction import Correction, Hull, Spread
-from learning.inherit import inherit
-from learning.units import Inherited, Units, shared_units
-from pipeline.artifacts import Store
-from pipeline.cli import main
-from pipeline.correct import corrected
-from pipeline.fingerprint import ROOT
-from pipeline.methods import HybridMethod, ModelMethod, build
-from pipeline.results import Comparison, Corrected, Fit
-from pipeline.runner import Run, all_stages
-from pipeline.siblings import residuals, unexplained
-from pipeline.virtual_robot import VirtualRobot, draw
-from urdf.description import ROBOTS, Correct, Identify, VirtualErrors, load_robot
-from urdf.kinematics import forward, inverse
+from kincal.identification.error_model import ErrorModel
+from kincal.identification.estimators import identify, register
+from kincal.identification.measurements import Measurements
+from kincal.learning.correction import Correction, Hull, Spread
+from kincal.learning.inherit import inherit
+from kincal.learning.units import Inherited, Units, shared_units
+from kincal.pipeline.commands.app import main
+from kincal.pipeline.methods.predictors import HybridMethod, ModelMethod, build
+from kincal.pipeline.methods.residual_network import corrected
+from kincal.pipeline.results import Comparison, Corrected, Fit
+from kincal.pipeline.run.fingerprint import ROOT
+from kincal.pipeline.run.runner import Run
+from kincal.pipeline.run.stage import all_stages
+from kincal.pipeline.store.store import Store
+from kincal.pipeline.virtual.robot import VirtualRobot, draw
+from kincal.pipeline.virtual.siblings import residuals, unexplained
+from kincal.urdf.description import ROBOTS, Correct, Identify, VirtualErrors, load_robot
+from kincal.urdf.kinematics import forward, inverse
 
 ROBOT_COMMANDS = (
     "run",
@@ -257,7 +258,7 @@ def kincal(tmp_path, environment):
     """kincal(*arguments) -> Answer: the real command in a process of its own, in tmp_path."""
 
     def call(*arguments: str | Path, root: Path = ROOT, **options) -> Answer:
-        command = [sys.executable, "-m", "pipeline.cli", *_complete(arguments)]
+        command = [sys.executable, "-m", "kincal", *_complete(arguments)]
         done = subprocess.run(
             command, cwd=tmp_path, env=environment(root), capture_output=True, text=True, timeout=120, **options
         )
@@ -268,7 +269,8 @@ def kincal(tmp_path, environment):
 
 DIES_ONCE = """
 import os, pathlib
-from pipeline import fan_out, runner
+from kincal.pipeline.run import fan_out
+from kincal.pipeline.run import runner
 folder = pathlib.Path({folder!r})
 if not (folder / "been").exists():
     (folder / "been").touch()
@@ -293,11 +295,10 @@ def stage_names() -> tuple[str, ...]:
 
 @pytest.fixture(scope="session")
 def copy_project():
-    """copy_project(folder): the project's packages there, without compiled files."""
+    """copy_project(folder): the package there, without compiled files and without links."""
 
     def copy(folder: Path) -> Path:
-        for package in ("urdf", "identification", "learning", "pipeline"):
-            shutil.copytree(ROOT / package, folder / package, ignore=shutil.ignore_patterns("__pycache__"))
+        shutil.copytree(ROOT / "kincal", folder / "kincal", ignore=shutil.ignore_patterns("__pycache__"))
         return folder
 
     return copy

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from identification.error_model import ErrorModel
-from pipeline.virtual_robot import VirtualRobot
-from urdf.kinematics import inverse
-from urdf.workspace import sample
+from kincal.identification.error_model import ErrorModel
+from kincal.pipeline.virtual.robot import VirtualRobot
+from kincal.urdf.kinematics import inverse
+from kincal.urdf.workspace import sample
 
 SEEDS = range(5)
 GEOMETRIC_ALONE = ("measure.errors.elastic=false", "measure.errors.screw=false")

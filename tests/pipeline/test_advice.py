@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pipeline.advice import advise
-from pipeline.results import Corrected, MethodScore
+from kincal.pipeline.methods.advice import advise
+from kincal.pipeline.results import Corrected, MethodScore
 
 
 def score(name: str, deg: float | None, mm: float | None = None) -> MethodScore:

@@ -10,10 +10,10 @@ import pandas as pd
 import pytest
 from scipy.spatial.transform import Rotation
 
-from identification.error_model import ErrorModel
-from pipeline.cli import app
-from pipeline.methods import METHODS
-from pipeline.virtual_robot import VirtualRobot
+from kincal.identification.error_model import ErrorModel
+from kincal.pipeline.commands.app import app
+from kincal.pipeline.methods.predictors import METHODS
+from kincal.pipeline.virtual.robot import VirtualRobot
 
 SET = ("--set", "plan.poses=12")
 LINEAR = ("plan.poses=12", "measure.errors.elastic=false", "measure.errors.screw=false")
@@ -68,7 +68,7 @@ def test_exit_statuses(kincal, store):
 HEAVY = ("torch", "casadi", "pinocchio", "pandas", "matplotlib", "scipy.optimize")
 LOOK = """
 import sys
-from pipeline.cli import main
+from kincal.pipeline.commands.app import main
 try:
     main(sys.argv[1:])
 except SystemExit as left:
@@ -107,7 +107,7 @@ def test_identification_does_not_import_torch(tmp_path, environment):
 
 def test_a_pipe_that_closes_early(finished, store, tmp_path, environment):
     arguments = ["inspect", "ups3_s", *flags(finished.settings), "--store", str(store)]
-    command = [sys.executable, "-m", "pipeline.cli", *arguments]
+    command = [sys.executable, "-m", "kincal", *arguments]
     pipe = subprocess.PIPE
     with subprocess.Popen(command, cwd=tmp_path, env=environment(), stdout=pipe, stderr=pipe, text=True) as process:
         process.stdout.close()

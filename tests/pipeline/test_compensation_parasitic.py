@@ -7,17 +7,17 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from identification.accuracy import gravity_error
-from identification.measurements import to_measurements
-from learning.transfer import new_network, train
-from pipeline.charts import Chart
-from pipeline.compensation import attempt
-from pipeline.goal import Goal, parts
-from pipeline.methods import HybridMethod, ModelMethod, NetworkMethod
-from pipeline.virtual_robot import VirtualRobot, draw
-from urdf.description import VirtualErrors
-from urdf.kinematics import inverse, pose_at, tool_coordinates, tool_rates
-from urdf.rigid_motion import Motion, exp
+from kincal.identification.accuracy import gravity_error
+from kincal.identification.measurements import to_measurements
+from kincal.learning.transfer import new_network, train
+from kincal.pipeline.methods.charts import Chart
+from kincal.pipeline.methods.commands import attempt
+from kincal.pipeline.methods.goal import Goal, parts
+from kincal.pipeline.methods.predictors import HybridMethod, ModelMethod, NetworkMethod
+from kincal.pipeline.virtual.robot import VirtualRobot, draw
+from kincal.urdf.description import VirtualErrors
+from kincal.urdf.kinematics import inverse, pose_at, tool_coordinates, tool_rates
+from kincal.urdf.rigid_motion import Motion, exp
 
 # robot, what is measured (and so desired)
 KINDS = [

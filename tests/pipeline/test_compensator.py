@@ -11,21 +11,21 @@ from typing import Any
 import numpy as np
 import pytest
 
-from identification.compiled import build, find_compiler
-from identification.measurements import quaternions
-from pipeline.compensator import Compensator
-from pipeline.compensator_code import quoted, sources
-from pipeline.compensator_library import (
+from kincal.identification.compiled import build, find_compiler
+from kincal.identification.measurements import quaternions
+from kincal.pipeline.compensator.code import quoted, sources
+from kincal.pipeline.compensator.compensator import Compensator
+from kincal.pipeline.compensator.library import (
     BEYOND_LIMITS,
     NOT_CONVERGED,
     OUTSIDE_WORKSPACE,
     Answers,
     Library,
 )
-from pipeline.methods import HybridMethod, ModelMethod
-from urdf.errors import InputError
-from urdf.kinematics import pose_at
-from urdf.rigid_motion import Motion, exp, from_zyx_angles
+from kincal.pipeline.methods.predictors import HybridMethod, ModelMethod
+from kincal.urdf.errors import InputError
+from kincal.urdf.kinematics import pose_at
+from kincal.urdf.rigid_motion import Motion, exp, from_zyx_angles
 
 # robot, method, what is measured (and so desired)
 KINDS = {

@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from identification.error_model import ErrorModel
-from urdf.rigid_motion import log
+from kincal.identification.error_model import ErrorModel
+from kincal.urdf.rigid_motion import log
 
 GEOMETRIC = {"elastic": False, "screw": False}
 

@@ -9,12 +9,16 @@ import numpy as np
 import pytest
 
 from benchmarks import damage_cases
-from benchmarks.damage import Clean, content, tallied
+from benchmarks.damage import tallied
+from benchmarks.damage_store import Clean, content
 from benchmarks.small import QUICK
-from pipeline import artifacts, garbage, runner
-from pipeline.artifacts import Store, encode
-from pipeline.results import Fit
-from urdf.description import load_robot
+from kincal.pipeline.results import Fit
+from kincal.pipeline.run import runner
+from kincal.pipeline.store import garbage
+from kincal.pipeline.store import store as artifacts
+from kincal.pipeline.store.codec import encode
+from kincal.pipeline.store.store import Store
+from kincal.urdf.description import load_robot
 
 
 @pytest.fixture(scope="module")

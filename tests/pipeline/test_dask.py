@@ -6,11 +6,11 @@ from pathlib import Path
 
 import pytest
 
-from pipeline import dask_workers
-from pipeline.executor import Place, executor
-from pipeline.fan_out import Job, run_all
-from urdf.description import load_robot
-from urdf.errors import InputError
+from kincal.pipeline.run import dask_workers
+from kincal.pipeline.run.executor import Place, executor
+from kincal.pipeline.run.fan_out import Job, run_all
+from kincal.urdf.description import load_robot
+from kincal.urdf.errors import InputError
 
 
 @pytest.fixture(scope="module")
@@ -81,7 +81,7 @@ def test_a_worker_that_dies_costs_its_stage_alone(scheduler, tmp_path, dies_once
 
 WAITS = """
 import pathlib, time
-from pipeline.executor import STILL_WANTED
+from kincal.pipeline.run.workers import STILL_WANTED
 folder = pathlib.Path({folder!r})
 (folder / "began").touch()
 end = time.monotonic() + 20
@@ -155,10 +155,10 @@ def test_other_code_on_the_workers(cli, scheduler, monkeypatch):
     ours = dask_workers._facts
 
     def changed(store):
-        return ours(store) | {"code, pipeline.learn": "other"}
+        return ours(store) | {"code, kincal.pipeline.methods.networks": "other"}
 
     monkeypatch.setattr(dask_workers, "_facts", changed)
-    refused(cli, scheduler, "has another code, pipeline.learn: ")
+    refused(cli, scheduler, "has another code, kincal.pipeline.methods.networks: ")
     monkeypatch.setattr(dask_workers, "_facts", lambda store: ours(store) | {"library, numpy": "1.0"})
     refused(cli, scheduler, "has another library, numpy (2.")
 
@@ -183,7 +183,7 @@ def test_workers_that_do_not_see_the_files(scheduler, tmp_path, monkeypatch):
 
 
 def test_what_is_lost_is_said(scheduler, tmp_path, monkeypatch):
-    from urdf.errors import CalibrationError
+    from kincal.urdf.errors import CalibrationError
 
     monkeypatch.setattr(dask_workers, "_LOST", 0.2)
     monkeypatch.setattr(dask_workers, "_LOOK", 0.1)

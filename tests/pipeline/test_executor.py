@@ -13,10 +13,10 @@ from pathlib import Path
 import pytest
 
 from benchmarks.small import QUICK
-from pipeline.executor import Place, WorkerDied, executor, place, threads_per_worker, undisturbed
-from pipeline.fan_out import Failure, Job, Outcome, run_all, run_of
-from urdf.description import load_robot
-from urdf.errors import InputError
+from kincal.pipeline.run.executor import Place, WorkerDied, executor, place, threads_per_worker, undisturbed
+from kincal.pipeline.run.fan_out import Failure, Job, Outcome, run_all, run_of
+from kincal.urdf.description import load_robot
+from kincal.urdf.errors import InputError
 
 QUIET = ('measure.channels=["orientation"]', "identify.max_iterations=200")
 
@@ -99,7 +99,7 @@ def test_a_second_time_all_is_cached(tmp_path):
 
 def test_ways_that_part_do_not_wait_for_each_other(tmp_path):
     """What is begun together rests on nothing that another task is still making."""
-    from pipeline.task_graph import prefix_of, shared_tasks
+    from kincal.pipeline.run.task_graph import prefix_of, shared_tasks
 
     settings = [(f"identify.max_iterations={n}", f"seed={s}") for s in (0, 1, 2) for n in (200, 300)]
     listed = jobs(tmp_path, "evaluate", *settings)
@@ -237,7 +237,7 @@ def test_an_exception_kills_the_workers():
 CHILD = """
 import os, sys, time
 from pathlib import Path
-from pipeline.executor import Place, executor
+from kincal.pipeline.run.executor import Place, executor
 if __name__ == "__main__":
     with executor(Place(2), Path()) as workers:
         print(workers.submit(os.getpid).result(), flush=True)

@@ -16,18 +16,18 @@ from hypothesis import strategies as st
 from scipy.optimize import root
 from scipy.spatial.transform import Rotation
 
-from identification.error_model import BuiltRobot
-from pipeline import export
-from pipeline.calibration_json import read_calibration
-from pipeline.export import Calibrated, Exported, export_document, export_folder, identified_robot
-from pipeline.exported_urdf import calibrated_urdf, require_urdf
-from pipeline.runner import Run
-from urdf.closed_chain import load_chain
-from urdf.description import ROBOTS, load_robot
-from urdf.errors import CalibrationError, InputError
-from urdf.kinematics import inverse, tool_pose, tree
-from urdf.rigid_motion import Motion, from_zyx_angles, zyx_angles
-from urdf.workspace import grid
+from kincal.identification.error_model import BuiltRobot
+from kincal.pipeline.export import export
+from kincal.pipeline.export.document import read_calibration
+from kincal.pipeline.export.export import Calibrated, Exported, export_document, export_folder, identified_robot
+from kincal.pipeline.export.urdf import calibrated_urdf, require_urdf
+from kincal.pipeline.run.runner import Run
+from kincal.urdf.closed_chain import load_chain
+from kincal.urdf.description import ROBOTS, load_robot
+from kincal.urdf.errors import CalibrationError, InputError
+from kincal.urdf.kinematics import inverse, tool_pose, tree
+from kincal.urdf.rigid_motion import Motion, from_zyx_angles, zyx_angles
+from kincal.urdf.workspace import grid
 
 DATA = Path(__file__).parents[1] / "data"
 FOLDERS = {

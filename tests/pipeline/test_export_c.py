@@ -7,12 +7,12 @@ import subprocess
 import numpy as np
 import pytest
 
-from identification.compiled import find_compiler
-from identification.measurements import quaternions
-from pipeline import exported_c
-from pipeline.exported_c import export_code
-from pipeline.queries import shipped
-from urdf.errors import CalibrationError, InputError
+from kincal.identification.compiled import find_compiler
+from kincal.identification.measurements import quaternions
+from kincal.pipeline.export import c_code as exported_c
+from kincal.pipeline.export.c_code import export_code
+from kincal.pipeline.interface.queries import shipped
+from kincal.urdf.errors import CalibrationError, InputError
 
 NAMES = {"kincal_ups3_s.c", "kincal_ups3_s.h", "kincal_ups3_s_main.c"}
 

@@ -10,10 +10,12 @@ from pathlib import Path
 
 import pytest
 
-from pipeline.fingerprint import PACKAGES, ROOT, Code
-from pipeline.stages import STAGES
+from kincal.pipeline.run.fingerprint import PACKAGES, Code
+from kincal.pipeline.stages.registry import STAGES
+from tests.sources import sources
 
 NAMES = [stage.__name__ for stage in STAGES]
+MODULES = {stage.__name__: stage.__module__ for stage in STAGES}
 
 
 @pytest.fixture
@@ -27,13 +29,13 @@ def _memo() -> dict:
     """What is known of the project's unchanged files; `test_a_memo_changes_no_answer` shows that it may be used."""
     code = Code()
     for name in NAMES:
-        code.fingerprint("pipeline.stages", name)
+        code.fingerprint(MODULES[name], name)
     return code.used
 
 
 def stages(root: Path) -> dict[str, dict[str, str]]:
     code = Code(root, memo=dict(_memo()))
-    return {name: code.fingerprint("pipeline.stages", name) for name in NAMES}
+    return {name: code.fingerprint(MODULES[name], name) for name in NAMES}
 
 
 def append(file: Path, text: str) -> None:
@@ -44,7 +46,7 @@ def append(file: Path, text: str) -> None:
 def test_comments_and_blank_lines_do_not_count(project, text):
     before = stages(project)
     for package in PACKAGES:
-        for file in (project / package).glob("*.py"):
+        for file in (project / package).rglob("*.py"):
             append(file, text)
     assert stages(project) == before
 
@@ -52,24 +54,24 @@ def test_comments_and_blank_lines_do_not_count(project, text):
 def test_a_module_that_was_edited_before_it_was_imported(project):
     """What ran was perhaps not what had been digested; comments are no edit, and later ones change nothing."""
     code = Code(project, memo=dict(_memo()))
-    code.fingerprint("pipeline.stages", "identify")
-    file = project / "urdf" / "errors.py"
+    code.fingerprint(MODULES["identify"], "identify")
+    file = project / "kincal" / "urdf" / "errors.py"
     append(file, "\n# a comment\n")
-    assert code.edited("pipeline.stages", "identify") is None
+    assert code.edited(MODULES["identify"], "identify") is None
     append(file, "EDITED = 1\n")
-    assert code.edited("pipeline.stages", "identify") is None
+    assert code.edited(MODULES["identify"], "identify") is None
     code = Code(project, memo=dict(_memo()))
-    code.fingerprint("pipeline.stages", "identify")
+    code.fingerprint(MODULES["identify"], "identify")
     for text in ("EDITED = 2\n", "def half(:\n"):
         append(file, text)
-        assert code.edited("pipeline.stages", "identify") == "urdf.errors"
+        assert code.edited(MODULES["identify"], "identify") == "kincal.urdf.errors"
 
 
 def test_docstrings_do_not_count(project):
     before = stages(project)
     edited = 0
     for package in PACKAGES:
-        for file in (project / package).glob("*.py"):
+        for file in (project / package).rglob("*.py"):
             text = file.read_text()
             new = re.sub(r'^( *)"""(?=[A-Z])', r'\1"""Said otherwise. ', text, flags=re.MULTILINE)
             edited += new != text
@@ -84,13 +86,13 @@ KINEMATIC = {"model", "plan", "measure", "identify", "evaluate"}
 @pytest.mark.parametrize(
     "file, must, must_not",
     [
-        ("urdf/rigid_motion.py", KINEMATIC, set()),  # three imports away
-        ("identification/estimators.py", {"identify"}, {"model", "plan"}),
-        ("identification/accuracy.py", {"evaluate"}, {"model", "plan", "measure"}),
-        ("pipeline/virtual_robot.py", {"measure", "evaluate"}, {"model", "plan", "identify", "report"}),
-        ("pipeline/report.py", {"report"}, KINEMATIC),
-        ("pipeline/cli.py", set(), set(NAMES)),
-        ("pipeline/artifacts.py", set(), set(NAMES)),
+        ("kincal/urdf/rigid_motion.py", KINEMATIC, set()),  # three imports away
+        ("kincal/identification/estimators.py", {"identify"}, {"model", "plan"}),
+        ("kincal/identification/accuracy.py", {"evaluate"}, {"model", "plan", "measure"}),
+        ("kincal/pipeline/virtual/robot.py", {"measure", "evaluate"}, {"model", "plan", "identify", "report"}),
+        ("kincal/pipeline/report/page.py", {"report"}, KINEMATIC),
+        ("kincal/pipeline/commands/app.py", set(), set(NAMES)),
+        ("kincal/pipeline/store/store.py", set(), set(NAMES)),
     ],
 )
 def test_a_helper_counts_for_the_stages_that_import_it(project, file, must, must_not):
@@ -105,42 +107,41 @@ def test_a_helper_counts_for_the_stages_that_import_it(project, file, must, must
 
 def test_the_difference_names_the_module(project):
     before = stages(project)["identify"]
-    append(project / "urdf/rigid_motion.py", "\n_X = 1\n")
+    append(project / "kincal/urdf/rigid_motion.py", "\n_X = 1\n")
     after = stages(project)["identify"]
-    assert [name for name in after if before[name] != after[name]] == ["urdf.rigid_motion"]
+    assert [name for name in after if before[name] != after[name]] == ["kincal.urdf.rigid_motion"]
 
 
 def test_page_templates_count_for_the_report_alone(project):
     before = stages(project)
-    append(project / "pipeline/templates/report.html", "<!-- changed -->")
+    append(project / "kincal/pipeline/report/templates/page.html", "<!-- changed -->")
     after = stages(project)
     assert {name for name in NAMES if before[name] != after[name]} == {"report"}
 
 
 def test_a_memo_changes_no_answer(project):
     cold = Code(project)
-    plain = {name: cold.fingerprint("pipeline.stages", name) for name in NAMES}
+    plain = {name: cold.fingerprint(MODULES[name], name) for name in NAMES}
     memo = json.loads(json.dumps(cold.used))  # as it comes back from the store
     warm = Code(project, memo=dict(memo))
-    assert {name: warm.fingerprint("pipeline.stages", name) for name in NAMES} == plain
-    append(project / "urdf/kinematics.py", "\n_X = 1\n")
+    assert {name: warm.fingerprint(MODULES[name], name) for name in NAMES} == plain
+    append(project / "kincal/urdf/kinematics.py", "\n_X = 1\n")
     changed = Code(project, memo=dict(memo))
-    assert {name: changed.fingerprint("pipeline.stages", name) for name in NAMES} == stages(project) != plain
+    assert {name: changed.fingerprint(MODULES[name], name) for name in NAMES} == stages(project) != plain
 
 
 def test_nothing_is_imported(project):
-    append(project / "urdf/rigid_motion.py", "\nraise SystemExit('imported')\n")
-    assert "urdf.rigid_motion" in stages(project)["model"]
+    append(project / "kincal/urdf/rigid_motion.py", "\nraise SystemExit('imported')\n")
+    assert "kincal.urdf.rigid_motion" in stages(project)["model"]
 
 
 def test_the_project_has_no_import_that_a_syntax_tree_hides():
     """Relative and computed imports would be outside of the closure."""
-    for package in PACKAGES:
-        for file in (ROOT / package).rglob("*.py"):
-            for node in ast.walk(ast.parse(file.read_text())):
-                assert not (isinstance(node, ast.ImportFrom) and node.level), f"{file}: relative import"
-                assert not (isinstance(node, ast.Name) and node.id == "__import__"), file
-                assert not (isinstance(node, ast.Attribute) and node.attr == "import_module"), file
+    for file in sources():
+        for node in ast.walk(ast.parse(file.read_text())):
+            assert not (isinstance(node, ast.ImportFrom) and node.level), f"{file}: relative import"
+            assert not (isinstance(node, ast.Name) and node.id == "__import__"), file
+            assert not (isinstance(node, ast.Attribute) and node.attr == "import_module"), file
 
 
 def test_what_a_stage_really_imports_is_in_its_closure(finished, tmp_path, environment):
@@ -148,11 +149,11 @@ def test_what_a_stage_really_imports_is_in_its_closure(finished, tmp_path, envir
     script = f"""
 import json, sys
 from pathlib import Path
-import pipeline.cli  # sets the number of threads
-from pipeline.artifacts import Store
-from pipeline.fingerprint import PACKAGES
-from pipeline.runner import Run
-from urdf.description import load_robot
+import kincal.pipeline.commands.app
+from kincal.pipeline.store.store import Store
+from kincal.pipeline.run.fingerprint import PACKAGES
+from kincal.pipeline.run.runner import Run
+from kincal.urdf.description import load_robot
 ours = lambda: {{m for m in sys.modules if m.partition(".")[0] in PACKAGES}}
 run, found = Run(load_robot("ups3_s", {finished.settings}), Store(Path("store"))), {{}}
 for stage in {NAMES}:
@@ -168,7 +169,7 @@ print(json.dumps(found))
     assert any(loaded.values())
     code = Code()
     for stage, modules in loaded.items():
-        assert set(modules) <= set(code.fingerprint("pipeline.stages", stage))
+        assert set(modules) <= set(code.fingerprint(MODULES[stage], stage))
 
 
 # A project of a few lines, for one rule of scoping at a time.
@@ -177,14 +178,13 @@ STAGE = "from __future__ import annotations\n{top}\ndef stage(x: int):\n    {bod
 
 
 def small(root: Path, top: str = "", body: str = "return 0", **modules: str) -> dict[str, str]:
-    (root / "urdf").mkdir(exist_ok=True)
-    (root / "pipeline").mkdir(exist_ok=True)
-    for package in ("urdf", "pipeline"):
+    for package in ("kincal", "kincal/urdf", "kincal/pipeline"):
+        (root / package).mkdir(exist_ok=True)
         (root / package / "__init__.py").write_text("")
     for name, text in modules.items():
-        (root / "urdf" / f"{name}.py").write_text(text)
-    (root / "pipeline" / "stages.py").write_text(STAGE.format(top=top, body=body))
-    return Code(root).fingerprint("pipeline.stages", "stage")
+        (root / "kincal" / "urdf" / f"{name}.py").write_text(text)
+    (root / "kincal" / "pipeline" / "stages.py").write_text(STAGE.format(top=top, body=body))
+    return Code(root).fingerprint("kincal.pipeline.stages", "stage")
 
 
 @pytest.mark.parametrize(
@@ -244,9 +244,9 @@ def test_names_are_found_wherever_a_body_uses_them(tmp_path, body):
 )
 def test_a_local_variable_does_not_couple_two_stages(tmp_path, body):
     before = small(tmp_path, body=body)
-    file = tmp_path / "pipeline" / "stages.py"
+    file = tmp_path / "kincal" / "pipeline" / "stages.py"
     file.write_text(file.read_text().replace("return 0", "return 1"))
-    assert Code(tmp_path).fingerprint("pipeline.stages", "stage") == before
+    assert Code(tmp_path).fingerprint("kincal.pipeline.stages", "stage") == before
 
 
 @pytest.mark.parametrize(
@@ -265,21 +265,27 @@ def test_a_local_variable_does_not_couple_two_stages(tmp_path, body):
 @pytest.mark.parametrize("where", ["near", "far"])
 def test_imported_modules_count_whole(tmp_path, before, after, where):
     """near: imported by the stage; far: three imports away."""
-    body = "from urdf.a import f\n    return f()"
+    body = "from kincal.urdf.a import f\n    return f()"
 
     def chain(end: str) -> dict[str, str]:
         if where == "near":
             return {"a": end}
-        return {"a": "from urdf.b import f", "b": "import urdf.c\nf = urdf.c.f", "c": end}
+        return {"a": "from kincal.urdf.b import f", "b": "import kincal.urdf.c\nf = kincal.urdf.c.f", "c": end}
 
     assert small(tmp_path, body=body, **chain(before)) != small(tmp_path, body=body, **chain(after))
 
 
-@pytest.mark.parametrize("body", ["import urdf.a", "from urdf import a", "from urdf.a import f", "import urdf.a as b"])
+@pytest.mark.parametrize(
+    "body, name",
+    [
+        ("import kincal.urdf.a", "kincal"),
+        ("from kincal.urdf import a", "a"),
+        ("from kincal.urdf.a import f", "f"),
+        ("import kincal.urdf.a as b", "b"),
+    ],
+)
 @pytest.mark.parametrize("at", ["top", "inside"])
-def test_every_way_to_import_counts(tmp_path, body, at):
-    name = {"import urdf.a": "urdf", "from urdf import a": "a", "from urdf.a import f": "f"}.get(body, "b")
-
+def test_every_way_to_import_counts(tmp_path, body, name, at):
     def found(text: str) -> dict[str, str]:
         if at == "top":
             return small(tmp_path, body, f"return {name}", a=text)
@@ -289,10 +295,10 @@ def test_every_way_to_import_counts(tmp_path, body, at):
 
 
 def test_a_module_that_the_stage_does_not_import_does_not_count(tmp_path):
-    body = "from urdf.a import f\n    return f"
+    body = "from kincal.urdf.a import f\n    return f"
     assert small(tmp_path, body=body, a="f = 1", z="g = 1") == small(tmp_path, body=body, a="f = 1", z="g = 2")
 
 
 def test_circular_imports_end(tmp_path):
-    found = small(tmp_path, body="import urdf.a", a="import urdf.b", b="import urdf.a")
-    assert {"urdf", "urdf.a", "urdf.b"} <= set(found)
+    found = small(tmp_path, body="import kincal.urdf.a", a="import kincal.urdf.b", b="import kincal.urdf.a")
+    assert {"kincal", "kincal.urdf", "kincal.urdf.a", "kincal.urdf.b"} <= set(found)

@@ -8,11 +8,11 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from identification.family import FALSE_ALARM, memberships
-from pipeline.methods import METHODS
-from pipeline.runner import Run
-from urdf.errors import InputError
-from urdf.fleet import load, references
+from kincal.identification.family import FALSE_ALARM, memberships
+from kincal.pipeline.methods.predictors import METHODS
+from kincal.pipeline.run.runner import Run
+from kincal.urdf.errors import InputError
+from kincal.urdf.fleet import load, references
 
 # The file
 

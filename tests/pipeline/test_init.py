@@ -11,13 +11,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from urdf.assembly import assembled
-from urdf.closed_chain import load_chain
-from urdf.description import ROBOTS, load_robot
-from urdf.input_files import read_text
-from urdf.kinematics import at_home
-from urdf.proposal import propose
-from urdf.proposed_toml import robot_toml
+from kincal.urdf.assembly import assembled
+from kincal.urdf.closed_chain import load_chain
+from kincal.urdf.description import ROBOTS, load_robot
+from kincal.urdf.input_files import read_text
+from kincal.urdf.kinematics import at_home
+from kincal.urdf.proposal import propose
+from kincal.urdf.proposed_toml import robot_toml
 
 DATA = Path(__file__).parents[1] / "data"
 DEGREES = {"ups3_s": 3, "jugglebot": 6, "ur10": 6}

@@ -9,10 +9,10 @@ from rosbags.rosbag2 import Writer
 from rosbags.typesys import Stores, get_typestore
 from scipy.spatial.transform import Rotation
 
-from pipeline.results import Filtered
-from pipeline.stages import STAGES
-from urdf.description import load_robot
-from urdf.errors import InputError
+from kincal.pipeline.results import Filtered
+from kincal.pipeline.stages.registry import STAGES
+from kincal.urdf.description import load_robot
+from kincal.urdf.errors import InputError
 
 JOINTS = ["leg1_slide", "leg2_slide", "leg3_slide"]
 POSES, RATE, NOISE_DEG, OFFSET = 14, 20.0, 0.01, 900.0
@@ -132,13 +132,13 @@ def test_the_page_tells_of_the_log(start, store, campaign, tmp_path):
     """Health, offset and the pose that was left out, as the report's template shows them."""
     from jinja2 import Environment
 
-    from pipeline.fingerprint import ROOT
+    from kincal.pipeline.run.fingerprint import ROOT
 
     log, commands = campaign
     commands.to_csv(tmp_path / "commands.csv", index=False)
     files = f'measure.streams="{as_nmea(log, tmp_path)}"', f'measure.commands="{tmp_path / "commands.csv"}"'
     measured, filtered = start(store, 'measure.source="files"', *files)[0].until("measure", "filter")
-    text = (ROOT / "pipeline" / "templates" / "report.html").read_text()
+    text = (ROOT / "kincal" / "pipeline" / "report" / "templates" / "page.html").read_text()
     part = text[text.index("{% set dropped") : text.index("<h2>What was learned")]
     page = Environment(autoescape=True).from_string(part).render(campaign=measured.campaign, filtered=filtered)
     assert "13 of 14 commanded poses were used" in page

@@ -8,16 +8,16 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation, Slerp
 
-from identification.accuracy import gravity_error
-from learning.network import Network
-from learning.transfer import new_network, train
-from pipeline.charts import Chart
-from pipeline.compensation import commands
-from pipeline.methods import METHODS, HybridMethod, ModelMethod, NetworkMethod, build
-from pipeline.results import Corrected, Fit, Learned
-from urdf.errors import InputError
-from urdf.kinematics import forward, inverse, pose_at, tool_coordinates
-from urdf.rigid_motion import Motion, log
+from kincal.identification.accuracy import gravity_error
+from kincal.learning.network import Network
+from kincal.learning.transfer import new_network, train
+from kincal.pipeline.methods.charts import Chart
+from kincal.pipeline.methods.commands import commands
+from kincal.pipeline.methods.predictors import METHODS, HybridMethod, ModelMethod, NetworkMethod, build
+from kincal.pipeline.results import Corrected, Fit, Learned
+from kincal.urdf.errors import InputError
+from kincal.urdf.kinematics import forward, inverse, pose_at, tool_coordinates
+from kincal.urdf.rigid_motion import Motion, log
 
 KINDS = [
     ("ups3_s", ("orientation",)),

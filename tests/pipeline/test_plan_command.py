@@ -7,15 +7,15 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from identification.accuracy import score
-from identification.error_model import ErrorModel
-from identification.measurements import read_table
-from identification.poses import planned
-from pipeline.planning import LAYOUTS, MOST, Wanted, planner
-from pipeline.runner import all_stages
-from urdf.description import Plan
-from urdf.kinematics import tool_coordinates
-from urdf.workspace import AXES, condition_numbers
+from kincal.identification.accuracy import score
+from kincal.identification.error_model import ErrorModel
+from kincal.identification.measurements import read_table
+from kincal.identification.poses import planned
+from kincal.pipeline.planning.layouts import LAYOUTS, MOST, Wanted, planner
+from kincal.pipeline.run.stage import all_stages
+from kincal.urdf.description import Plan
+from kincal.urdf.kinematics import tool_coordinates
+from kincal.urdf.workspace import AXES, condition_numbers
 
 SCORE = {"layout", "n_poses", "excited", "excitable", "o1", "o2", "o3", "o4", "o5", "condition_number"}
 SCORE |= {f"{what}_{unit}" for what in ("mean", "rms", "max") for unit in ("deg", "mm")}
@@ -208,7 +208,7 @@ def test_poses_for_two_accuracies(start, folder):
 
 
 def test_an_accuracy_that_cannot_be_reached(plan, document, monkeypatch):
-    monkeypatch.setattr("pipeline.planning.MOST", 20)
+    monkeypatch.setattr("kincal.pipeline.planning.layouts.MOST", 20)
     few = ("ups3_s", "--accuracy", "1e-7", "--layout", "random")
     answer = plan(*few)
     assert (answer.status, answer.out) == (2, "")

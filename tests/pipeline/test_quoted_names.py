@@ -10,14 +10,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from identification.compiled import find_compiler
-from identification.error_model import ErrorModel
-from pipeline.compensator_code import _comment, quoted
-from pipeline.exported_toml import exported_toml
-from pipeline.exported_urdf import calibrated_urdf
-from urdf.closed_chain import load_chain
-from urdf.description import ROBOTS, RobotDescription, load_robot
-from urdf.kinematics import at_home
+from kincal.identification.compiled import find_compiler
+from kincal.identification.error_model import ErrorModel
+from kincal.pipeline.compensator.code import _comment, quoted
+from kincal.pipeline.export.toml import exported_toml
+from kincal.pipeline.export.urdf import calibrated_urdf
+from kincal.urdf.closed_chain import load_chain
+from kincal.urdf.description import ROBOTS, RobotDescription, load_robot
+from kincal.urdf.kinematics import at_home
 
 NASTY = (
     *('"', "'", "\\", "\\n", "*/", "/*", "//", "??/", "??'", "%s%n", "\n", "\r\n", "\t", "a\nb"),
@@ -132,10 +132,10 @@ def test_figures_show_any_name():
     """No formula, no element: text."""
     from matplotlib import rc_context
 
-    from identification.identification import Identification
-    from pipeline.figures import STYLE
-    from pipeline.identification_figures import changes, shares
-    from pipeline.report import _drawn
+    from kincal.identification.identification import Identification
+    from kincal.pipeline.report.figures import STYLE
+    from kincal.pipeline.report.identification_figures import changes, shares
+    from kincal.pipeline.report.page import _drawn
 
     n, blank = len(NASTY), dict.fromkeys(Identification.__dataclass_fields__)
     values = {"observable_share": np.ones(n), "data_share": np.ones(n), "change": np.ones(n), "std": np.ones(n)}

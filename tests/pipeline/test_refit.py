@@ -7,10 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pipeline.methods import ModelMethod
-from pipeline.refit import refitted
-from urdf.errors import InputError
-from urdf.rigid_motion import Motion, exp
+from kincal.pipeline.methods.predictors import ModelMethod
+from kincal.pipeline.methods.refit import refitted
+from kincal.urdf.errors import InputError
+from kincal.urdf.rigid_motion import Motion, exp
 
 
 def another_day(robot, name: str, channels: tuple[str, ...], seed: int):

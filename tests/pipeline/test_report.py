@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from pipeline.methods import METHODS
+from kincal.pipeline.methods.predictors import METHODS
 
 NAMES = (  # of XML vocabularies: identifiers that nobody fetches
     "http://www.w3.org/2000/svg",

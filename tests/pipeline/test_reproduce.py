@@ -12,20 +12,20 @@ import pandas as pd
 import pytest
 from scipy import stats
 
-from pipeline import reproduce
-from pipeline.claims import claims, pretraining
-from pipeline.cli import main
-from pipeline.fingerprint import ROOT
-from pipeline.methods import METHODS
-from pipeline.paired import holm, paired, signed_rank, trend
-from pipeline.paper import AXES, RANGES, TESTING
-from pipeline.reproduce import Point, Reproduced, Study, plan, points, tables_points
-from pipeline.reproduction import choices, over_range, ranges
-from pipeline.results import RAW
-from urdf.description import load_robot
-from urdf.errors import InputError
+from kincal.pipeline.commands.app import main
+from kincal.pipeline.methods.predictors import METHODS
+from kincal.pipeline.report.paper import AXES, RANGES, TESTING
+from kincal.pipeline.reproduce import study as reproduce
+from kincal.pipeline.reproduce.claims import claims, pretraining
+from kincal.pipeline.reproduce.paired import holm, paired, signed_rank, trend
+from kincal.pipeline.reproduce.study import Point, Reproduced, Study, plan, points, tables_points
+from kincal.pipeline.reproduce.tables import choices, over_range, ranges
+from kincal.pipeline.results import RAW
+from kincal.pipeline.run.fingerprint import ROOT
+from kincal.urdf.description import load_robot
+from kincal.urdf.errors import InputError
 
-PAPER = ROOT.parent / "shared" / "reference" / "xu2024_transfer_calibration.txt"
+PAPER = ROOT.parents[1] / "shared" / "reference" / "xu2024_transfer_calibration.txt"
 WRITTEN = {
     *("index.html", "results.parquet", "results.json", "advantage.svg", "pretraining.svg"),
     *(f"figure{k}.svg" for k in (5, 6, 7, 8, 10)),

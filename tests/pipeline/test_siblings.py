@@ -5,8 +5,8 @@ from functools import partial
 import numpy as np
 import pytest
 
-from pipeline.siblings import residuals, unexplained
-from urdf.kinematics import forward, tree
+from kincal.pipeline.virtual.siblings import residuals, unexplained
+from kincal.urdf.kinematics import forward, tree
 
 
 def heights(steps: np.ndarray, chain, row: np.ndarray, masses) -> np.ndarray:

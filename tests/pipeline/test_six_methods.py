@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from pipeline.artifacts import Store
-from pipeline.methods import METHODS
-from pipeline.runner import Run
-from urdf.description import load_robot
-from urdf.errors import InputError
+from kincal.pipeline.methods.predictors import METHODS
+from kincal.pipeline.run.runner import Run
+from kincal.pipeline.store.store import Store
+from kincal.urdf.description import load_robot
+from kincal.urdf.errors import InputError
 
 SMALL = (
     *("pretrain.iterations=20", "transfer.iterations=30", "prior.poses=125"),

@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pipeline.spread import pose_covariance, radius, seen_from, sigma
-from urdf.rigid_motion import log
+from kincal.pipeline.methods.covariance import pose_covariance, radius, seen_from, sigma
+from kincal.urdf.rigid_motion import log
 
 
 def covariances(k: int, seed: int, n: int = 3) -> np.ndarray:

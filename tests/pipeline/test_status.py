@@ -4,8 +4,9 @@ import json
 
 import pytest
 
-from pipeline.runner import all_stages, explain, needed
-from urdf.errors import InputError
+from kincal.pipeline.run.changes import explain
+from kincal.pipeline.run.stage import all_stages, needed
+from kincal.urdf.errors import InputError
 
 
 def rows(run) -> dict[str, tuple[str, str]]:
@@ -91,16 +92,16 @@ def test_a_table_that_changes_while_it_is_read_is_refused(start, store, finished
 def test_changed_code_is_named(kincal, start, store, tmp_path, copy_project):
     """With the project's packages copied, and a helper three imports away changed."""
     root = copy_project(tmp_path / "project")
-    robot = root / "urdf" / "robots" / "ups3_s"
+    robot = root / "kincal" / "urdf" / "robots" / "ups3_s"
     start(store, "plan.poses=12", robot=robot)[0].until("report")
-    file = root / "urdf" / "rigid_motion.py"
+    file = root / "kincal" / "urdf" / "rigid_motion.py"
     file.write_text(file.read_text() + "\n_CHANGED = 1\n")
     answer = kincal("status", robot, "--set", "plan.poses=12", "--store", store, "--json", root=root)
     assert answer.status == 0, answer.err
     assert json.loads(answer.out)[0] == {
         "stage": "model",
         "state": "stale",
-        "why": "code urdf.rigid_motion changed",
+        "why": "code kincal.urdf.rigid_motion changed",
     }
 
 
@@ -131,7 +132,7 @@ PARTS = {
     "settings": {"plan": {"poses": 150, "layout": None}, "seed": 0},
     "files": {"urdf": "aa"},
     "inputs": {"model": "bb"},
-    "code": {"pipeline.stages:plan": "cc", "urdf.kinematics": "dd"},
+    "code": {"kincal.pipeline.stages.registry:plan": "cc", "kincal.urdf.kinematics": "dd"},
     "libraries": {"numpy": "2.4", "scipy": "1.17"},
 }
 
@@ -148,7 +149,11 @@ PARTS = {
         ("files", {"urdf": "ab"}, "file urdf changed"),
         ("files", {}, "file urdf changed"),
         ("inputs", {"model": "bc"}, "input model changed"),
-        ("code", {"pipeline.stages:plan": "cc", "urdf.kinematics": "de"}, "code urdf.kinematics changed"),
+        (
+            "code",
+            {"kincal.pipeline.stages.registry:plan": "cc", "kincal.urdf.kinematics": "de"},
+            "code kincal.urdf.kinematics changed",
+        ),
         ("libraries", {"numpy": "2.3", "scipy": "1.17"}, "library numpy 2.3 -> 2.4"),
     ],
 )

@@ -20,12 +20,14 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 
-from pipeline import results
-from pipeline.artifacts import Damaged, Store, decode, encode
-from pipeline.fingerprint import PACKAGES, ROOT
-from pipeline.results import Html, Report
-from pipeline.runner import all_stages
-from urdf.description import Mechanism, VirtualErrors, Workspace
+from kincal.pipeline import results
+from kincal.pipeline.results import Html, Report
+from kincal.pipeline.run.stage import all_stages
+from kincal.pipeline.store.codec import decode, encode
+from kincal.pipeline.store.manifest import Damaged
+from kincal.pipeline.store.store import Store
+from kincal.urdf.description import Mechanism, VirtualErrors, Workspace
+from tests.sources import sources
 
 # There and back
 
@@ -293,7 +295,7 @@ def test_robots_of_one_name_do_not_mix(finished, start, store, robot_folder):
 
 def test_two_runs_at_once(finished, start, tmp_path, environment):
     sets = [part for setting in finished.settings for part in ("--set", setting)]
-    command = [sys.executable, "-m", "pipeline.cli", "inspect", "ups3_s", *sets, "--json"]
+    command = [sys.executable, "-m", "kincal", "inspect", "ups3_s", *sets, "--json"]
     started = [
         subprocess.Popen(command, cwd=tmp_path, env=environment(), stdout=subprocess.PIPE, stderr=subprocess.PIPE)
         for _ in range(2)
@@ -311,11 +313,11 @@ def test_two_runs_at_once(finished, start, tmp_path, environment):
 KILLED = """
 import os, random, signal, sys, time
 from pathlib import Path
-import pipeline.cli  # sets the number of threads
+import kincal.pipeline.commands.app
 import casadi, matplotlib.figure, pinocchio, pipeline.report  # so that children start at once
-from pipeline.artifacts import Store
-from pipeline.runner import Run
-from urdf.description import load_robot
+from kincal.pipeline.store.store import Store
+from kincal.pipeline.run.runner import Run
+from kincal.urdf.description import load_robot
 
 settings, random = sys.argv[1:], random.Random(0)
 survived = 0
@@ -471,9 +473,8 @@ def unpickles(source: str) -> list[str]:
 
 def test_sources_have_no_pickle():
     """Read as syntax trees: an alias or a line break hides nothing."""
-    for package in PACKAGES:
-        for file in (ROOT / package).rglob("*.py"):
-            assert unpickles(file.read_text()) == [], file
+    for file in sources():
+        assert unpickles(file.read_text()) == [], file
 
 
 @pytest.mark.parametrize(

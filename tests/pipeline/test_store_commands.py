@@ -8,14 +8,15 @@ from pathlib import Path
 
 import pytest
 
-from pipeline.acceptance import accept
-from pipeline.artifacts import Damaged, Store
-from pipeline.executor import Place, executor
-from pipeline.fan_out import Job, run_all, run_of
-from pipeline.fingerprint import Code
-from pipeline.garbage import free, garbage
-from urdf.description import load_robot
-from urdf.errors import InputError
+from kincal.pipeline.run.acceptance import accept
+from kincal.pipeline.run.executor import Place, executor
+from kincal.pipeline.run.fan_out import Job, run_all, run_of
+from kincal.pipeline.run.fingerprint import Code
+from kincal.pipeline.store.garbage import free, garbage
+from kincal.pipeline.store.manifest import Damaged
+from kincal.pipeline.store.store import Store
+from kincal.urdf.description import load_robot
+from kincal.urdf.errors import InputError
 
 POSES = ("--set", "plan.poses=12")
 
@@ -81,7 +82,7 @@ def test_gc_frees_nothing_that_a_damaged_note_may_have_named(start, store, conte
 def test_gc_leaves_living_writers_alone(store):
     """Leftovers of one that was killed are freed; a folder in which a process writes is not."""
     script = (
-        "import sys, time; from pathlib import Path; from pipeline.artifacts import Store\n"
+        "import sys, time; from pathlib import Path; from kincal.pipeline.store.store import Store\n"
         "with Store(Path(sys.argv[1]))._aside() as folder:\n"
         "    (folder / 'half').write_bytes(b'x')\n    print(folder, flush=True)\n    time.sleep(60)\n"
     )
@@ -202,7 +203,7 @@ def test_what_another_run_has_made_again_is_not_set_aside(finished, start, store
 def refactored(copy_project, tmp_path) -> Path:
     """A copy of the project in which a helper was split in two."""
     root = copy_project(tmp_path / "project")
-    file = root / "urdf" / "rigid_motion.py"
+    file = root / "kincal" / "urdf" / "rigid_motion.py"
     file.write_text(file.read_text() + "\n\ndef _refactored():\n    return 1\n")
     return root
 
@@ -224,13 +225,13 @@ def test_accept_after_a_refactoring(finished, start, session, store):
     before.until("report")
     accepted = accept(session()[0])
     assert {a.stage for a in accepted} >= {"model", "identify", "evaluate"}
-    assert all("urdf.rigid_motion" in a.changed and a.digest == before.entries[a.stage].digest for a in accepted)
+    assert all("kincal.urdf.rigid_motion" in a.changed and a.digest == before.entries[a.stage].digest for a in accepted)
     run, events = session()
     assert run.until("evaluate", "report")[0] == finished.comparison
     assert {e.state for e in events} == {"cached"}
     assert all(run.entries[a.stage].manifest["key"] == a.key for a in accepted)
     (said,) = run.entries["model"].manifest["provenance"]["accepted"]
-    assert said["changed"] == ["urdf.rigid_motion"]
+    assert said["changed"] == ["kincal.urdf.rigid_motion"]
     assert said["from_key"] == before.entries["model"].manifest["key"]
     assert {"at", "from_code", "command"} <= set(said)
 
@@ -247,7 +248,7 @@ def test_accept_takes_code_alone(session, store, robot_folder, start, monkeypatc
     with pytest.raises(InputError, match=r"^plan: can't be accepted: setting plan.poses 12 -> 13; allowed is"):
         accept(session("plan.poses=13")[0])
     with monkeypatch.context() as patched:
-        patched.setattr("pipeline.runner.version", lambda library: "99.1")
+        patched.setattr("kincal.pipeline.run.runner.version", lambda library: "99.1")
         with pytest.raises(InputError, match=r"^model: can't be accepted: library .* -> 99.1"):
             accept(session()[0])
     (file,) = (store / "artifacts").glob("evaluate/*/value.json")
@@ -259,7 +260,7 @@ def test_accept_takes_code_alone(session, store, robot_folder, start, monkeypatc
 
 def test_accept_from_the_command_line(cli, kincal, refactored, store):
     assert cli("accept", "ups3_s", "--stage", "evaluatee", "--store", store).status == 2
-    robot = refactored / "urdf" / "robots" / "ups3_s"
+    robot = refactored / "kincal" / "urdf" / "robots" / "ups3_s"
     answer = kincal("accept", robot, *POSES, "--store", store, "--json", root=refactored)
     assert (answer.status, answer.out) == (0, "[]\n")  # of another folder: it never ran
 

@@ -5,10 +5,10 @@ import pandas as pd
 import pytest
 from scipy.spatial.transform import Rotation
 
-from identification.error_model import ErrorModel
-from pipeline.virtual_robot import VirtualRobot
-from urdf.kinematics import inverse
-from urdf.workspace import sample
+from kincal.identification.error_model import ErrorModel
+from kincal.pipeline.virtual.robot import VirtualRobot
+from kincal.urdf.kinematics import inverse
+from kincal.urdf.workspace import sample
 
 POSES = ("plan.poses=40", 'measure.channels=["tilt", "yaw"]')
 GEOMETRIC_ALONE = ("measure.errors.elastic=false", "measure.errors.screw=false")
@@ -111,13 +111,13 @@ def test_the_page_tells_of_the_stream(measured, from_files):
     """What is wrong with a stream, and the poses that were left out, as the report's template shows them."""
     from jinja2 import Environment
 
-    from pipeline.fingerprint import ROOT
+    from kincal.pipeline.run.fingerprint import ROOT
 
     virtual = measured()
     stream = virtual.stream.assign(roll=virtual.stream["roll"].mask(virtual.stream["pose"] == 7, 0.125))
     stream.loc[3, "t"] = np.nan
     found, filtered = from_files(virtual.table, stream).until("measure", "filter")
-    text = (ROOT / "pipeline" / "templates" / "report.html").read_text()
+    text = (ROOT / "kincal" / "pipeline" / "report" / "templates" / "page.html").read_text()
     part = text[text.index("{% set dropped") : text.index("<h2>What was learned")]
     report = Environment(autoescape=True).from_string(part).render(campaign=found.campaign, filtered=filtered)
     assert f"streams.csv (csv): {len(stream) - 1} good samples, for 40 poses." in report

@@ -13,9 +13,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pipeline.grid import combinations, parse_over, toml_value
-from pipeline.methods import METHODS
-from urdf.errors import InputError
+from kincal.pipeline.methods.predictors import METHODS
+from kincal.pipeline.studies.grid import combinations, parse_over, toml_value
+from kincal.urdf.errors import InputError
 
 # --over
 
@@ -244,7 +244,7 @@ def workers_of(pid: int) -> list[int]:
 @pytest.fixture
 def begun(finished, store, tmp_path, environment):
     """A sweep on two workers in a process of its own, as soon as a worker is seen; killed at the end."""
-    command = [sys.executable, "-m", "pipeline.cli", *arguments_of(finished, store), "--on", "2", "--json"]
+    command = [sys.executable, "-m", "kincal", *arguments_of(finished, store), "--on", "2", "--json"]
     command += ["--over", "identify.max_iterations=1,2,1000"]
     pipe = subprocess.PIPE
     with subprocess.Popen(command, cwd=tmp_path, env=environment(), stdout=pipe, stderr=pipe, text=True) as process:

@@ -6,16 +6,16 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from identification.error_model import ErrorModel
-from pipeline import stages
-from pipeline.results import Measured, Truth
-from pipeline.virtual_errors import Circumstances, approaches, clearance
-from pipeline.virtual_robot import VirtualRobot, draw, stream_of
-from pipeline.virtual_robot import measure as sense
-from urdf.description import Sensor, Stream, VirtualErrors, load_robot
-from urdf.errors import InputError
-from urdf.kinematics import forward, tree
-from urdf.rigid_motion import Motion
+from kincal.identification.error_model import ErrorModel
+from kincal.pipeline.results import Measured, Truth
+from kincal.pipeline.stages.fresh_poses import fresh_poses as of_virtual_robot
+from kincal.pipeline.virtual.errors import Circumstances, approaches, clearance
+from kincal.pipeline.virtual.robot import VirtualRobot, draw, stream_of
+from kincal.pipeline.virtual.robot import measure as sense
+from kincal.urdf.description import Sensor, Stream, VirtualErrors, load_robot
+from kincal.urdf.errors import InputError
+from kincal.urdf.kinematics import forward, tree
+from kincal.urdf.rigid_motion import Motion
 
 NOTHING = VirtualErrors(geometric=False, elastic=False, screw=False, frame_rotation_deg=0.0, frame_translation_mm=0.0)
 ALL = ("orientation", "position", "tilt", "yaw")
@@ -349,5 +349,5 @@ def quaternions(measured: Measured) -> Rotation:
 
 def fresh_poses(truth: Truth, scene: Scene, robot) -> tuple[np.ndarray, Motion]:
     """Readings of poses that a method is scored on, and the truth there."""
-    at, pose = stages.fresh_poses(robot("ups3_s").description, scene.nominal, truth, 40, 0)
+    at, pose = of_virtual_robot(robot("ups3_s").description, scene.nominal, truth, 40, 0)
     return at.readings, pose

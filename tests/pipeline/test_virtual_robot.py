@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from identification.error_model import ErrorModel
-from pipeline.artifacts import encode
-from pipeline.results import Measured, Model, PosePlan
-from pipeline.virtual_robot import VirtualRobot, draw
-from pipeline.virtual_robot import measure as sense
-from urdf.description import Sensor, VirtualErrors
-from urdf.kinematics import forward
-from urdf.rigid_motion import Motion
+from kincal.identification.error_model import ErrorModel
+from kincal.pipeline.results import Measured, Model, PosePlan
+from kincal.pipeline.store.codec import encode
+from kincal.pipeline.virtual.robot import VirtualRobot, draw
+from kincal.pipeline.virtual.robot import measure as sense
+from kincal.urdf.description import Sensor, VirtualErrors
+from kincal.urdf.kinematics import forward
+from kincal.urdf.rigid_motion import Motion
 
 NO_FRAMES = {"frame_rotation_deg": 0.0, "frame_translation_mm": 0.0}
 NOTHING = VirtualErrors(geometric=False, elastic=False, screw=False, **NO_FRAMES)

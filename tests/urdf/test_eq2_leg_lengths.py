@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from urdf.kinematics import forward, inverse
-from urdf.workspace import grid
+from kincal.urdf.kinematics import forward, inverse
+from kincal.urdf.workspace import grid
 
 BASE_RADIUS, PLATFORM_RADIUS, HEIGHT, OFFSET_DEG = 0.30, 0.20, 0.45, 45.0  # [m, m, m, deg]
 

@@ -5,10 +5,10 @@ import time
 
 import pytest
 
-from urdf.closed_chain import load_drawing
-from urdf.description import load_robot
-from urdf.errors import InputError, one_line
-from urdf.input_files import MAX_KEY, parse_toml, read_text
+from kincal.urdf.closed_chain import load_drawing
+from kincal.urdf.description import load_robot
+from kincal.urdf.errors import InputError, one_line
+from kincal.urdf.input_files import MAX_KEY, parse_toml, read_text
 
 LAUGHS = "".join(f'<!ENTITY l{k} "{10 * f"&l{k - 1};"}">' for k in range(1, 12))
 PROLOGUES = {

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from urdf.kinematics import (
+from kincal.urdf.kinematics import (
     actuator_jacobian,
     forward,
     inverse,
@@ -21,8 +21,8 @@ from urdf.kinematics import (
     tool_pose,
     tree,
 )
-from urdf.rigid_motion import exp
-from urdf.workspace import bounds
+from kincal.urdf.rigid_motion import exp
+from kincal.urdf.workspace import bounds
 
 ROBOTS = ("ups3_s", "jugglebot", "ur10", "ups3_frame", "linear_delta", "rps3")
 unit = st.lists(st.floats(0, 1), min_size=6, max_size=6)

@@ -13,11 +13,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from urdf.closed_chain import load_chain, load_drawing
-from urdf.description import Loop, Mechanism, Workspace
-from urdf.errors import InputError
-from urdf.kinematics import at_home, forward, inverse, loop_error, loop_jacobian, passive_rates, tool_pose, tree
-from urdf.workspace import check_workspace, mobility
+from kincal.urdf.closed_chain import load_chain, load_drawing
+from kincal.urdf.description import Loop, Mechanism, Workspace
+from kincal.urdf.errors import InputError
+from kincal.urdf.kinematics import at_home, forward, inverse, loop_error, loop_jacobian, passive_rates, tool_pose, tree
+from kincal.urdf.workspace import check_workspace, mobility
 
 PAIRS = (("ups3_mjcf", "ups3_s"), ("ups3_frame_mjcf", "ups3_frame"))
 DATA = Path(__file__).parents[1] / "data"

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from urdf.errors import InputError
-from urdf.workspace import mobility
+from kincal.urdf.errors import InputError
+from kincal.urdf.workspace import mobility
 
 LIMIT = '<limit lower="-1.4" upper="1.4" effort="10000" velocity="10"/>'
 TWO_RINGS = Path(__file__).parents[1] / "data" / "two_rings"

@@ -10,7 +10,7 @@ from hypothesis.extra.numpy import arrays
 from scipy.linalg import expm
 from scipy.spatial.transform import Rotation
 
-from urdf.rigid_motion import (
+from kincal.urdf.rigid_motion import (
     Motion,
     cross,
     exp,

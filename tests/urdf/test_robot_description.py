@@ -10,8 +10,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from urdf.description import ROBOTS, RobotDescription, load_robot, read_columns, validate
-from urdf.errors import InputError
+from kincal.urdf.description import ROBOTS, RobotDescription, load_robot, read_columns, validate
+from kincal.urdf.errors import InputError
 
 UPS3 = (ROBOTS / "ups3_s" / "robot.toml").read_text()
 TABLES = (

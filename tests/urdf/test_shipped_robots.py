@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from urdf.kinematics import forward, inverse
-from urdf.workspace import grid, mobility
+from kincal.urdf.kinematics import forward, inverse
+from kincal.urdf.workspace import grid, mobility
 
 AZIMUTH = np.deg2rad([0.0, 120.0, 240.0])
 RADIAL = np.stack([np.cos(AZIMUTH), np.sin(AZIMUTH), np.zeros(3)], axis=1)

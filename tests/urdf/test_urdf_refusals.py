@@ -6,7 +6,7 @@ import re
 
 import pytest
 
-from urdf.errors import InputError
+from kincal.urdf.errors import InputError
 
 CENTRE_Z = '<joint name="centre_z" type="revolute">'
 LAST = "</robot>"

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from urdf.errors import InputError
-from urdf.kinematics import inverse
-from urdf.rigid_motion import Motion
-from urdf.workspace import bounds, condition_numbers, grid, mobility, sample
+from kincal.urdf.errors import InputError
+from kincal.urdf.kinematics import inverse
+from kincal.urdf.rigid_motion import Motion
+from kincal.urdf.workspace import bounds, condition_numbers, grid, mobility, sample
 
 PLATFORM_ORIGINS = (  # of ups3_s: an offset of 45 degrees
     "0.14142135623731 0.14142135623731 0",

@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from identification.attitude.filter import AttitudeFilter, filter_attitude
-from identification.attitude.presets import PRESETS
-from identification.attitude.settings import AttitudeSettings, Samples, WaveBand
-from identification.attitude.smoother import smooth_attitude
-from urdf.errors import InputError
+from kincal.identification.attitude.filter import AttitudeFilter, filter_attitude
+from kincal.identification.attitude.presets import PRESETS
+from kincal.identification.attitude.settings import AttitudeSettings, Samples, WaveBand
+from kincal.identification.attitude.smoother import smooth_attitude
+from kincal.urdf.errors import InputError
 
 SENSOR = PRESETS["industrial"]
 STILL = AttitudeSettings(waves=None)
@@ -161,7 +161,7 @@ def test_long_records_go_chunk_by_chunk(sea, monkeypatch):
     """Against one chunk: where a record is cut makes no difference."""
     t, _, force, gyro, _ = (x[:2000] for x in sea)
     whole = filter_attitude(t, Samples(force, gyro), AttitudeSettings())
-    monkeypatch.setattr("identification.attitude.filter._CHUNK", 30)
+    monkeypatch.setattr("kincal.identification.attitude.filter._CHUNK", 30)
     cut = filter_attitude(t, Samples(force, gyro), AttitudeSettings())
     np.testing.assert_allclose(cut.roll_pitch_yaw, whole.roll_pitch_yaw, rtol=0, atol=1e-12)
     np.testing.assert_allclose(cut.std, whole.std, rtol=1e-9)

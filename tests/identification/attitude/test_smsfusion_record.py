@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from identification.attitude.filter import filter_attitude
-from identification.attitude.presets import SensorPreset
-from identification.attitude.settings import AttitudeSettings, Samples
+from kincal.identification.attitude.filter import filter_attitude
+from kincal.identification.attitude.presets import SensorPreset
+from kincal.identification.attitude.settings import AttitudeSettings, Samples
 
 FLIP = np.array([1.0, -1.0, -1.0])  # forward, starboard, down <-> forward, port, up
 

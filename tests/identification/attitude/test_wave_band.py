@@ -6,10 +6,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.signal import lfilter
 
-from identification.attitude.innovations import statistics
-from identification.attitude.presets import PRESETS, preset
-from identification.attitude.wave_band import ACCELERATION, acceleration_by_velocity, angle, displacement
-from urdf.errors import InputError
+from kincal.identification.attitude.innovations import statistics
+from kincal.identification.attitude.presets import PRESETS, preset
+from kincal.identification.attitude.wave_band import ACCELERATION, acceleration_by_velocity, angle, displacement
+from kincal.urdf.errors import InputError
 
 PERIOD, DAMPING, DT = st.floats(3.0, 30.0), st.floats(0.05, 0.9), st.floats(0.005, 1.0)
 

@@ -10,8 +10,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from identification.streams.static_poses import StaticPoses, static_poses
-from urdf.description import Log, Measure
+from kincal.identification.streams.static_poses import StaticPoses, static_poses
+from kincal.urdf.description import Log, Measure
 
 JOINTS = ("a", "b", "c")
 PLANE = np.array([[100.0, 30.0, -50.0], [20.0, -80.0, 60.0]])  # roll, pitch [deg] by joint values

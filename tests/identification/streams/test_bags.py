@@ -8,9 +8,9 @@ from rosbags.rosbag2 import Writer as Writer2
 from rosbags.typesys import Stores, get_typestore
 from scipy.spatial.transform import Rotation
 
-from identification.streams.reading import read_log
-from urdf.description import Log, Measure
-from urdf.errors import InputError
+from kincal.identification.streams.reading import read_log
+from kincal.urdf.description import Log, Measure
+from kincal.urdf.errors import InputError
 
 RANDOM = np.random.default_rng(4)
 ANGLES = RANDOM.uniform(-0.5, 0.5, (60, 3))  # roll, pitch, yaw

@@ -9,11 +9,11 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from identification.streams import tables
-from identification.streams.columns import times, values
-from identification.streams.reading import open_stream, read_log
-from urdf.description import Column, Log, Measure
-from urdf.errors import InputError
+from kincal.identification.streams import tables
+from kincal.identification.streams.columns import times, values
+from kincal.identification.streams.reading import open_stream, read_log
+from kincal.urdf.description import Column, Log, Measure
+from kincal.urdf.errors import InputError
 
 FAULTS = ("garbage", "checksum", "untimed", "not_finite", "jumped", "repeated", "backwards", "frozen")
 

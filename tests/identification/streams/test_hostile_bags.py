@@ -11,12 +11,12 @@ import pytest
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
-from identification.streams.reading import read_log
+from kincal.identification.streams.reading import read_log
+from kincal.urdf import input_files
+from kincal.urdf.description import Log, Measure
+from kincal.urdf.errors import InputError
+from kincal.urdf.input_files import bounded
 from tests.fuzz.seeds import bags
-from urdf import input_files
-from urdf.description import Log, Measure
-from urdf.errors import InputError
-from urdf.input_files import bounded
 
 
 @pytest.fixture

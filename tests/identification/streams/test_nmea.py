@@ -5,10 +5,10 @@ from datetime import UTC, datetime
 import numpy as np
 import pytest
 
-from identification.streams.reading import read_log
-from urdf.description import Log, Measure
-from urdf.errors import InputError
-from urdf.rigid_motion import from_zyx_angles
+from kincal.identification.streams.reading import read_log
+from kincal.urdf.description import Log, Measure
+from kincal.urdf.errors import InputError
+from kincal.urdf.rigid_motion import from_zyx_angles
 
 STAMP = "2014-08-01T00:00:{:06.3f}Z"
 BODIES = {  # 2 degrees port up, 3 bow up, heading 30 (east of north)
@@ -112,7 +112,7 @@ def test_one_kind_of_sentence_is_taken(nmea, write):
 
 def test_ship_logs_agree_as_their_readme_says(shared_data):
     """Two Seapaths on one ship: rms of each, and bias and standard deviation of their difference after alignment."""
-    from identification.streams.alignment import align
+    from kincal.identification.streams.alignment import align
 
     folder = shared_data / "nbp1406_ship_motion"
     if not folder.is_dir():

@@ -6,11 +6,11 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from identification.inclinometer import filter_stream
-from identification.streams.health import StreamHealth
-from identification.streams.reading import read_stream
-from urdf.description import Column, Filter, Measure, Sensor
-from urdf.errors import InputError
+from kincal.identification.inclinometer import filter_stream
+from kincal.identification.streams.health import StreamHealth
+from kincal.identification.streams.reading import read_stream
+from kincal.urdf.description import Column, Filter, Measure, Sensor
+from kincal.urdf.errors import InputError
 
 FAULTS = (
     "garbage checksum untimed not_finite unposed jumped repeated backwards frozen incomplete".split()  # noqa: SIM905

@@ -6,10 +6,10 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from identification.streams.commands import read_commands
-from identification.streams.static_poses import static_poses
-from urdf.description import Log, Measure
-from urdf.errors import InputError
+from kincal.identification.streams.commands import read_commands
+from kincal.identification.streams.static_poses import static_poses
+from kincal.urdf.description import Log, Measure
+from kincal.urdf.errors import InputError
 
 RANDOM = np.random.default_rng(7)
 JOINTS = RANDOM.uniform(-0.1, 0.1, (40, 3))

@@ -7,10 +7,10 @@ from hypothesis import strategies as st
 from pydantic import ValidationError
 from scipy.constants import g
 
-from pipeline.sea.closed_form import ClosedFormRao
-from pipeline.sea.rao import MODES
-from pipeline.sea.rao_files import read_rao
-from pipeline.sea.settings import SEA_STATES, Seaway, Vessel
+from kincal.pipeline.sea.closed_form import ClosedFormRao
+from kincal.pipeline.sea.rao import MODES
+from kincal.pipeline.sea.rao_files import read_rao
+from kincal.pipeline.sea.settings import SEA_STATES, Seaway, Vessel
 
 SHIP = Vessel()
 SURGE, SWAY, HEAVE, ROLL, PITCH, YAW = range(6)

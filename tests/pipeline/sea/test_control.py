@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from identification.attitude.presets import PRESETS
-from pipeline.sea.control import ahead, followed, kept, lag, late, levelling
-from pipeline.sea.instruments import sensed
+from kincal.identification.attitude.presets import PRESETS
+from kincal.pipeline.sea.control import ahead, followed, kept, lag, late, levelling
+from kincal.pipeline.sea.instruments import sensed
 
 RATE = 100.0
 

@@ -10,12 +10,12 @@ from scipy.io import loadmat
 from scipy.signal import periodogram
 from waveresponse import RAO, WaveBinSpectrum, calculate_response
 
-from pipeline.sea.closed_form import ClosedFormRao
-from pipeline.sea.response import expected_std, response_spectra, wave_spectrum
-from pipeline.sea.settings import SEA_STATES, Seaway
-from pipeline.sea.ship_motion import ShipMotion
-from pipeline.sea.synthesis import generated, rao_of, superposed
-from pipeline.sea.waves import drawn, spectrum
+from kincal.pipeline.sea.closed_form import ClosedFormRao
+from kincal.pipeline.sea.response import expected_std, response_spectra, wave_spectrum
+from kincal.pipeline.sea.settings import SEA_STATES, Seaway
+from kincal.pipeline.sea.ship_motion import ShipMotion
+from kincal.pipeline.sea.synthesis import generated, rao_of, superposed
+from kincal.pipeline.sea.waves import drawn, spectrum
 
 
 def stds(motion: ShipMotion) -> np.ndarray:

@@ -8,12 +8,12 @@ from hypothesis import strategies as st
 from scipy.constants import knot
 from scipy.io import savemat
 
-from pipeline.sea.closed_form import ClosedFormRao
-from pipeline.sea.rao import MODES, RaoTable
-from pipeline.sea.rao_files import read_rao
-from pipeline.sea.settings import Seaway, Vessel
-from pipeline.sea.synthesis import rao_of
-from urdf.errors import InputError
+from kincal.pipeline.sea.closed_form import ClosedFormRao
+from kincal.pipeline.sea.rao import MODES, RaoTable
+from kincal.pipeline.sea.rao_files import read_rao
+from kincal.pipeline.sea.settings import Seaway, Vessel
+from kincal.pipeline.sea.synthesis import rao_of
+from kincal.urdf.errors import InputError
 
 ANGLES = MODES[3:]
 

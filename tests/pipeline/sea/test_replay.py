@@ -5,11 +5,11 @@ from datetime import datetime
 import numpy as np
 import pytest
 
-from pipeline.sea.closed_form import ClosedFormRao
-from pipeline.sea.replay import replayed
-from pipeline.sea.settings import Seaway, Vessel
-from pipeline.sea.synthesis import generated
-from urdf.errors import InputError
+from kincal.pipeline.sea.closed_form import ClosedFormRao
+from kincal.pipeline.sea.replay import replayed
+from kincal.pipeline.sea.settings import Seaway, Vessel
+from kincal.pipeline.sea.synthesis import generated
+from kincal.urdf.errors import InputError
 
 DEG = np.pi / 180
 

@@ -5,11 +5,11 @@ import pytest
 from scipy.constants import g
 from scipy.spatial.transform import Rotation
 
-from pipeline.sea.closed_form import ClosedFormRao
-from pipeline.sea.rao_files import read_rao
-from pipeline.sea.settings import Seaway, Vessel
-from pipeline.sea.ship_motion import ShipMotion
-from pipeline.sea.synthesis import generated
+from kincal.pipeline.sea.closed_form import ClosedFormRao
+from kincal.pipeline.sea.rao_files import read_rao
+from kincal.pipeline.sea.settings import Seaway, Vessel
+from kincal.pipeline.sea.ship_motion import ShipMotion
+from kincal.pipeline.sea.synthesis import generated
 
 DEG = np.pi / 180
 BOW, PORT, UP = np.eye(3)

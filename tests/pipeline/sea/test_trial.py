@@ -6,22 +6,22 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from pipeline.cli import main
-from pipeline.fingerprint import ROOT
-from pipeline.methods import ModelMethod, uncalibrated
-from pipeline.paper import HARDWARE
-from pipeline.results import RAW
-from pipeline.sea import trial as trials
-from pipeline.sea.configurations import configurations
-from pipeline.sea.control import levelling
-from pipeline.sea.settings import Seaway
-from pipeline.sea.synthesis import generated, rao_of
-from pipeline.sea.trial import START_S, Platform, Trial, deck_error, sea_trial
-from pipeline.virtual_robot import STANDING, VirtualRobot, draw
-from urdf.description import VirtualErrors
-from urdf.rigid_motion import exp
+from kincal.pipeline.commands.app import main
+from kincal.pipeline.methods.predictors import ModelMethod, uncalibrated
+from kincal.pipeline.report.paper import HARDWARE
+from kincal.pipeline.results import RAW
+from kincal.pipeline.run.fingerprint import ROOT
+from kincal.pipeline.sea import trial as trials
+from kincal.pipeline.sea.configurations import configurations
+from kincal.pipeline.sea.control import levelling
+from kincal.pipeline.sea.settings import Seaway
+from kincal.pipeline.sea.synthesis import generated, rao_of
+from kincal.pipeline.sea.trial import START_S, Platform, Trial, deck_error, sea_trial
+from kincal.pipeline.virtual.robot import STANDING, VirtualRobot, draw
+from kincal.urdf.description import VirtualErrors
+from kincal.urdf.rigid_motion import exp
 
-PRINTED = ROOT.parent / "shared" / "reference" / "xu2024_transfer_calibration.txt"
+PRINTED = ROOT.parents[1] / "shared" / "reference" / "xu2024_transfer_calibration.txt"
 RATE = 20.0
 
 

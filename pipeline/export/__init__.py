@@ -1,0 +1,1 @@
+"""The calibrated robot for other programs: URDF and robot.toml, JSON, C."""

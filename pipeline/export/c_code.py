@@ -1,0 +1,155 @@
+"""The compensator for a controller: a folder with one C file, its header and a test program.
+
+Compiled and compared with what `kincal compensate` and `kincal predict` say before it is handed out; without a compiler
+its steps are, as CasADi evaluates them.
+"""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from kincal.identification.compiled import find_compiler
+from kincal.identification.measurements import quaternions
+from kincal.pipeline.compensator.code import code_name, sources
+from kincal.pipeline.compensator.compensator import Compensator
+from kincal.pipeline.compensator.library import Library
+from kincal.pipeline.export.export import TOLERANCE
+from kincal.pipeline.export.target import MADE_HERE, beside, check_folder_free
+from kincal.pipeline.interface.queries import Shipped, shipped
+from kincal.pipeline.methods.predictors import HybridMethod, ModelMethod
+from kincal.pipeline.run.runner import Run
+from kincal.pipeline.run.stage import version
+from kincal.urdf.description import Workspace
+from kincal.urdf.errors import CalibrationError, InputError
+from kincal.urdf.kinematics import inverse
+from kincal.urdf.rigid_motion import Motion
+from kincal.urdf.workspace import sample
+
+METHODS = ("geometric", "hybrid")
+_CHECKED = 300  # random poses of the workspace
+
+
+@dataclass(frozen=True)
+class Agreement:
+    """The largest differences from what kincal itself says."""
+
+    n_checked: int
+    command: float  # of an actuator's joint [m, rad]
+    prediction: float | None  # of a predicted pose [m, rad]; None: the code was not compiled
+
+
+@dataclass(frozen=True)
+class ExportedCode:
+    """What was written, and how well it agrees."""
+
+    path: Path
+    name: str  # of its files, and what its functions' names begin with
+    agreement: Agreement
+    compiler: str | None
+    iterations: int  # of a command, at most
+
+
+def export_code(session: Run, method: str = "hybrid", output: Path | None = None, force: bool = False) -> ExportedCode:
+    """The compensator as C in a folder (default: NAME_compensator).
+
+    force: also into a folder that holds other things; those stay. Raises InputError for that and for methods without
+    code, CalibrationError where the code does not say what the method says; then nothing is written.
+    """
+    if method not in METHODS:
+        raise InputError(f"--method {method}: --format c has code for {' and '.join(METHODS)}")
+    description = session.robot.description
+    output, name = output or Path(f"{description.name}_compensator"), code_name(description.name)
+    marker = output / f"{name}.h"
+    check_folder_free(output, session.robot.file, force, marker)
+    found = shipped(session, method)
+    chosen = found.methods()[method]
+    assert isinstance(chosen, ModelMethod | HybridMethod)
+    compensator = Compensator.of(chosen, found.channels, description.workspace)
+    files = sources(compensator, name, _said(session, found, chosen, method))
+    agreed, compiler = _checked(compensator, found.channels, description.workspace, files, name)
+    with beside(output) as temporary:
+        for file, text in files.items():
+            (temporary / file).write_text(text, encoding="utf-8")
+        check_folder_free(output, session.robot.file, force, marker)
+        if output.exists():
+            for file in files:
+                (temporary / file).replace(output / file)
+        else:
+            temporary.rename(output)
+    most = compensator.most.inverse + compensator.most.hybrid
+    return ExportedCode(output, name, agreed, compiler, most)
+
+
+def _said(session: Run, found: Shipped, method: ModelMethod | HybridMethod, name: str) -> list[str]:
+    """Where the code comes from."""
+    fit = found.identified.shipped
+    said = [
+        f"{MADE_HERE}{session.robot.description.name}, compensator of the {name} method, identified from {fit.n_poses} "
+        f"poses ({session.until('measure')[0].source}: {', '.join(fit.channels)}), kincal {version('kincal')}, casadi "
+        f"{version('casadi')}",
+        f"identification: sha256 {session.entries['identify'].digest}",
+    ]
+    if isinstance(method, HybridMethod):
+        correction = method.correction
+        used = f"{correction.structure}; {correction.shrinkage:.3g} of it" if correction.shrinkage else "not used"
+        said.append(f"correction ({used}): sha256 {session.entries['correct'].digest}")
+    return said
+
+
+def _checked(
+    compensator: Compensator, channels: tuple[str, ...], workspace: Workspace, files: Mapping[str, str], name: str
+) -> tuple[Agreement, str | None]:
+    """Compiled and compared all over the workspace; with the compiler's command."""
+    chain, compiler = compensator.robot.chain, find_compiler()
+    u = sample(workspace, chain.tool_axes, _CHECKED, [0, 43])
+    if compiler is None:
+        return agreement(compensator, channels, u, None), None
+    counts = (len(chain.actuated), chain.n_joints, len(chain.passive))
+    with tempfile.TemporaryDirectory() as folder:
+        library = Library.of(files, name, counts, compiler, Path(folder))
+        return agreement(compensator, channels, u, library), compiler
+
+
+def agreement(compensator: Compensator, channels: tuple[str, ...], u: np.ndarray, library: Library | None) -> Agreement:
+    """At tool coordinates u: (n, 6). Raises CalibrationError where the code does not say what the method says.
+
+    library: None: what CasADi says of the code's steps is compared.
+    """
+    method, robot = compensator.method, compensator.robot
+    configurations = inverse(robot.chain, u)
+    readings = robot.actuators.readings(configurations.q[configurations.closed][:, robot.chain.actuated])
+    desired = method.predict(readings)
+    expected, reached = method.command(desired, channels)
+    prediction = None
+    if library is None:
+        commanded = compensator.commands(desired)
+        got, found = commanded.readings, commanded.reached
+    else:
+        answers, poses = library.commands(desired), library.predictions(readings)
+        got, found = answers.values, answers.found & poses.found
+        prediction = _apart(desired, poses.values)
+    if not found[reached].all() or not reached.any():
+        raise CalibrationError(
+            f"--format c: the code does not get to {np.sum(reached & ~found)} of {np.sum(reached)} poses that kincal "
+            "compensate gets to; nothing was exported"
+        )
+    command = float(np.abs(robot.actuators.gain * (got - expected))[reached].max())
+    if not max(command, prediction or 0.0) <= TOLERANCE:
+        raise CalibrationError(
+            f"--format c: the code's commands differ by {command:.3g} m or rad and its predictions by "
+            f"{prediction or 0.0:.3g}; allowed are {TOLERANCE:g}; nothing was exported"
+        )
+    return Agreement(int(reached.sum()), command, prediction)
+
+
+def _apart(pose: Motion, values: np.ndarray) -> float:
+    """The largest difference of positions and quaternions (n, 7) from poses (n) [m, rad]."""
+    here = quaternions(pose.rotation)
+    there = values[:, 3:] * np.sign(np.sum(here * values[:, 3:], axis=1))[:, None]
+    moved = np.linalg.norm(values[:, :3] - pose.translation, axis=1).max()
+    return float(max(moved, 2 * np.linalg.norm(there - here, axis=1).max()))

@@ -1,0 +1,1 @@
+"""What `import kincal` offers. The command line is written on it."""

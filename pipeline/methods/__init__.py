@@ -1,0 +1,1 @@
+"""The six methods, from `nominal` to `hybrid`: what they predict, command and score, and how sure they are."""

@@ -1,0 +1,98 @@
+"""The sentence that a comparison ends with: which method, what to expect of it, and whether more poses would pay."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from kincal.identification.channels import all_turns, parts
+from kincal.identification.error_model import ErrorModel
+from kincal.identification.predicted_accuracy import mean_length
+from kincal.pipeline.methods.covariance import pose_covariance, seen_from
+from kincal.pipeline.methods.predictors import METHODS, HybridMethod, Method, ModelMethod
+from kincal.pipeline.results import Advice, Corrected, Fit, MethodScore
+
+_SURE = ("geometric", "hybrid")  # that come with a covariance, and a learning curve
+_PAYS = 0.2  # share of the expected error that is saved
+_AS_GOOD = 1.02  # of two methods so near each other the simpler one is taken
+_STEEPEST = 1.0  # fall of the error with the number of poses, as a power: noise alone gives 1/2
+_LARGEST = 4.0  # times the poses: farther nothing is foretold
+
+
+def advise(
+    model: ErrorModel,
+    fit: Fit,
+    corrected: Corrected,
+    methods: Mapping[str, Method],
+    scores: Sequence[MethodScore],
+    readings: np.ndarray,
+    channels: tuple[str, ...],
+) -> Advice:
+    """Of scored methods; expected errors are those of poses like the measured ones, at readings (n, n_actuated)."""
+    best = _best(scores)
+    sure = methods.get(best) if best in _SURE else None
+    expected = _expected(model, fit, corrected, sure, readings, channels)
+    if expected is None:
+        score = next(s for s in scores if s.name == best)
+        expected = (score.mean_deg, score.mean_mm)
+    n, more, saved = len(readings), None, 1.0
+    power = _power(corrected.learning_curve, best)
+    if power > 0:
+        factor = (1 - _PAYS) ** (-1 / power)
+        if factor <= _LARGEST:
+            more = int(np.ceil(factor * n / 10) * 10)
+            saved = (n / more) ** power
+    later = tuple(None if e is None or more is None else saved * e for e in expected)
+    text = f"take {best}: a mean error of {_size(*expected)} is to be expected at poses like these {n}"
+    if more is not None:
+        text += f"; {more} poses would bring about {_size(*later)}"
+    elif power > 0 or not len(corrected.learning_curve):
+        text += "; how much more poses would bring can't be told from so few" if n < 30 else "; more poses hardly pay"
+    else:
+        text += "; more poses would not pay: what is left does not fall with their number"
+    if best == "geometric" and corrected.correction.shrinkage == 0:
+        text += "; nothing was found that geometry can't explain"
+    return Advice(best, expected[0], expected[1], n, more, later[0], later[1], text)
+
+
+def _best(scores: Sequence[MethodScore]) -> str:
+    """The least mean error, of what was measured first; the table's order goes from simple to not."""
+    key = "mean_deg" if scores[0].mean_deg is not None else "mean_mm"
+    values = {s.name: float(getattr(s, key)) for s in scores}
+    least = min(values.values())
+    return min((name for name, v in values.items() if v <= _AS_GOOD * least), key=METHODS.index)
+
+
+def _expected(
+    model: ErrorModel,
+    fit: Fit,
+    corrected: Corrected,
+    method: Method | None,
+    readings: np.ndarray,
+    channels: tuple[str, ...],
+) -> tuple[float | None, float | None] | None:
+    """Mean errors [deg], [mm] by the calibrated covariance; None where there is none."""
+    if method is None:
+        return None
+    assert isinstance(method, ModelMethod | HybridMethod)
+    covariance = pose_covariance(model, fit, corrected, method, readings)
+    turned = covariance[:, :3, :3]
+    if not all_turns(channels):
+        turned = seen_from(turned, method.predict(readings).rotation[:, 2])
+    deg = float(np.rad2deg(np.mean(mean_length(turned)))) if "tilt" in parts(channels) else None
+    return deg, float(1e3 * np.mean(mean_length(covariance[:, 3:, 3:]))) if "position" in channels else None
+
+
+def _power(curve: np.ndarray, method: str) -> float:
+    """b of an error that falls as n^-b, by a line through the learning curve's logarithms; 0 where nothing is told."""
+    errors = curve[:, 1 if method == "geometric" else 2] if len(curve) else np.zeros(0)
+    if len(errors) < 3 or not np.all(errors > 0) or method not in _SURE:
+        return 0.0
+    slope = np.polyfit(np.log(curve[:, 0]), np.log(errors), 1)[0]
+    return float(np.clip(-slope, 0.0, _STEEPEST))
+
+
+def _size(deg: float | None, mm: float | None) -> str:
+    parts = [f"{value:.2g} {unit}" for value, unit in ((deg, "deg"), (mm, "mm")) if value is not None]
+    return " and ".join(parts)

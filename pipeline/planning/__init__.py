@@ -1,0 +1,1 @@
+"""Before anybody measures: which poses to measure, and what they will show."""

@@ -1,0 +1,1 @@
+"""How stages run: keys and fingerprints, the cache, workers, verification."""

@@ -1,0 +1,1 @@
+"""The stages of the pipeline: plain typed functions, values in, values out."""

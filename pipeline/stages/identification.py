@@ -1,0 +1,59 @@
+"""The robot as built."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from kincal.pipeline.results import Filtered, Fit, Identified, Measured, Model
+from kincal.pipeline.stages.robot_data import error_model, used_poses
+from kincal.urdf.description import Actuator, Identify, Sensor, Split, Tolerance
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from kincal.identification.error_model import ErrorModel
+    from kincal.identification.measurements import Measurements
+
+
+def identify(
+    model: Model,
+    measured: Measured,
+    filtered: Filtered,
+    sensor: Sensor,
+    tolerance: Tolerance,
+    actuator: dict[str, Actuator],
+    split: Split,
+    identify: Identify,
+    seed: int,
+) -> Identified:
+    """All geometric parameters from the measured poses; and from parts of them, to be scored on the rest."""
+    from kincal.identification.diagnosis import registered as register
+    from kincal.identification.estimators import identify as estimate
+    from kincal.identification.poses import folds, held_out
+    from kincal.identification.summary import summarise
+
+    errors = error_model(model, tolerance, actuator)
+    poses = used_poses(filtered, errors, sensor, split, seed)
+    parts = () if measured.truth is not None else folds(len(poses), split, seed)
+    test = held_out(len(poses), split, seed)
+    registered = register(errors, poses, identify.max_iterations)
+    whole = estimate(errors, poses, identify, registered)
+    shipped = summarise(errors, poses, whole, registered, identify)
+    poses = poses.scaled(shipped.sensor_estimated)
+    return Identified(
+        shipped=shipped,
+        registered=registered.p,
+        held_out=_fit(errors, poses, test, identify),
+        folds=tuple(_fit(errors, poses, part, identify) for part in parts),
+    )
+
+
+def _fit(errors: ErrorModel, poses: Measurements, test: np.ndarray, settings: Identify) -> Fit:
+    import numpy as np
+
+    from kincal.identification.estimators import identify as estimate
+    from kincal.identification.estimators import register
+
+    train = poses[np.setdiff1d(np.arange(len(poses)), test)]
+    registered = register(errors, train, settings.max_iterations)
+    return Fit(test, registered.p, estimate(errors, train, settings, registered).p)

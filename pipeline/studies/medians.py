@@ -1,0 +1,51 @@
+"""A sweep summed up over its seeds."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from kincal.pipeline.report.tables import Table, fixed
+from kincal.pipeline.studies.rows import UNITS, records
+from kincal.pipeline.studies.sweep import Swept
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+_DIGITS = {"mean_deg": 5, "mean_mm": 4}
+
+
+def medians(swept: Swept) -> pd.DataFrame:
+    """One row a combination of swept values and method: jobs, median and quartiles of the mean errors over seeds."""
+    import pandas as pd
+
+    table = swept.table[swept.table["method"].notna()]
+    groups = table.groupby([*swept.keys, "method"], sort=False)
+    columns = {"jobs": groups["seed"].size()}
+    for mean in UNITS:
+        for name, share in ((mean, 0.5), (f"{mean}_low", 0.25), (f"{mean}_high", 0.75)):
+            columns[name] = groups[mean].quantile(share)
+    return pd.DataFrame(columns).reset_index()
+
+
+def measured_units(found: pd.DataFrame) -> list[str]:
+    """mean_deg, mean_mm: those that `medians` has numbers of."""
+    return [mean for mean in UNITS if any(found[mean].notna())]
+
+
+def median_tables(swept: Swept) -> list[tuple[str, Table]]:
+    """For people: one row a combination of swept values, one column a method; what was not measured has no table."""
+    found = medians(swept)
+    methods = list(dict.fromkeys(found["method"]))
+    n = len(set(swept.table["seed"][swept.table["method"].notna()]))
+    tables = []
+    for mean in measured_units(found):
+        rows: dict[tuple[str, ...], dict[str, str]] = {}
+        for row in records(found):
+            label = tuple(str(row[key]) for key in swept.keys) or (swept.robot,)
+            cells = rows.setdefault(label, {"jobs": str(row["jobs"])})
+            cells[row["method"]] = fixed(row[mean], _DIGITS[mean])
+        columns = (*(swept.keys or ["robot"]), "jobs", *methods)
+        lines = tuple((*label, cells["jobs"], *(cells.get(m, "") for m in methods)) for label, cells in rows.items())
+        title = f"median over {n} seed{'s' * (n > 1)} of the mean error [{UNITS[mean]}]"
+        tables.append((title, Table(columns, lines)))
+    return tables

@@ -1,0 +1,142 @@
+"""`kincal sweep`: one robot over a grid of settings and seeds, as one tidy table."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from kincal.pipeline.run.executor import Place, executor
+from kincal.pipeline.run.fan_out import Failure, Job, Observe, Outcome, files_of, portable, run_all
+from kincal.pipeline.studies.grid import Over, combinations, parse_over
+from kincal.pipeline.studies.rows import METHOD_NUMBERS, method_rows
+from kincal.urdf.description import RobotDescription
+from kincal.urdf.errors import CalibrationError, InputError
+from kincal.urdf.fleet import as_reference, load
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+MOST_SEEDS = 10_000
+
+
+@dataclass(frozen=True)
+class Point:
+    """One job of the sweep: the values of the swept keys, and the robot that they make."""
+
+    values: Mapping[str, Any]
+    job: Job
+    robot: RobotDescription | InputError
+
+
+@dataclass(frozen=True)
+class Swept:
+    """What came of a sweep."""
+
+    robot: str
+    overs: tuple[Over, ...]
+    table: pd.DataFrame  # one row a job and method; one row a job that failed
+    failures: tuple[tuple[Point, InputError | CalibrationError], ...]
+    n_jobs: int
+
+    @property
+    def keys(self) -> list[str]:
+        """Of the grid, the seed aside: results are summed up over it."""
+        return [over.key for over in self.overs if over.key != "seed"]
+
+    def check(self) -> None:
+        """Raises InputError where all jobs were bad input, CalibrationError where any failed otherwise."""
+        if not self.failures:
+            return
+        point, error = self.failures[0]
+        where = ", ".join(f"{key}={value}" for key, value in point.values.items())
+        said = f"{len(self.failures)} of {self.n_jobs} jobs failed, the first ({where}): {error}"
+        bad = all(isinstance(error, InputError) for _, error in self.failures)
+        raise (InputError if bad and len(self.failures) == self.n_jobs else CalibrationError)(said)
+
+
+def plan_sweep(
+    robot: str, over: Sequence[str], seeds: int, overrides: Sequence[str], store: Path, command: str = ""
+) -> tuple[tuple[Over, ...], list[Point]]:
+    """The grid and its jobs. Raises InputError, also where no job has a valid robot."""
+    if not 1 <= seeds <= MOST_SEEDS:
+        raise InputError(f"--seeds {seeds}: allowed are 1 (the robot's own) to {MOST_SEEDS}")
+    overs = tuple(parse_over(text) for text in over)
+    if seeds > 1:
+        overs = (*overs, Over("seed", tuple(map(str, range(seeds)))))
+    if not overs:
+        raise InputError("nothing to sweep: give --over table.key=value,value,... or --seeds of 2 or more")
+    load(robot, overrides)
+    reference, shared = as_reference(robot), portable(overrides)
+    points = []
+    for places in combinations(overs):
+        own = tuple(o.overrides()[k] for o, k in zip(overs, places, strict=True))
+        values = {o.key: o.values[k] for o, k in zip(overs, places, strict=True)}
+        job = Job(reference, (*shared, *portable(own)), store.absolute(), "evaluate", command)
+        points.append(Point(values, job, _loaded(job, own)))
+    bad = next((p.robot for p in points if isinstance(p.robot, InputError)), None)
+    if bad is not None and all(isinstance(p.robot, InputError) for p in points):
+        raise bad
+    return overs, points
+
+
+def _loaded(job: Job, own: Sequence[str]) -> RobotDescription | InputError:
+    try:
+        return load(job.robot, job.overrides).description
+    except InputError as error:
+        said = str(error)
+        for override in own:  # as it was written
+            said = said.replace(f"--set {override}", f"--over {override}")
+        return InputError(said)
+
+
+def sweep(overs: tuple[Over, ...], points: Sequence[Point], on: Place, observe: Observe) -> Swept:
+    """All jobs, on these workers. A job that fails is a row; what is neither bad input nor a failed check is raised."""
+    valid = [(point, point.robot) for point in points if isinstance(point.robot, RobotDescription)]
+    jobs, robots = [point.job for point, _ in valid], [robot for _, robot in valid]
+    with executor(on, jobs[0].store, files_of(jobs, robots)) as workers:
+        came = run_all(jobs, robots, workers, observe)
+    outcomes = {id(point): outcome for (point, _), outcome in zip(valid, came, strict=True)}
+    rows, failures = [], []
+    for point in points:
+        outcome = Failure(point.robot) if isinstance(point.robot, InputError) else outcomes[id(point)]
+        if isinstance(outcome, Failure):
+            failures.append((point, outcome.error))
+        rows += _rows(point, outcome)
+    name = valid[0][1].name
+    return Swept(name, overs, _frame(name, overs, rows), tuple(failures), len(points))
+
+
+def _rows(point: Point, outcome: Outcome | Failure) -> list[dict[str, Any]]:
+    seed = point.robot.seed if isinstance(point.robot, RobotDescription) else None
+    own = {"seed": seed} | dict(point.values)
+    if isinstance(outcome, Failure):
+        return [own | {"error": str(outcome.error)}]
+    assert outcome.comparison is not None
+    return [own | row for row in method_rows(outcome.comparison)]
+
+
+def _frame(robot: str, overs: Sequence[Over], rows: Sequence[Mapping[str, Any]]) -> pd.DataFrame:
+    """Columns of one type each, whatever failed: the same sweep gives the same bytes."""
+    import pandas as pd
+
+    table = pd.DataFrame({"robot": [robot] * len(rows)})
+    texts = {over.key: dict(zip(map(repr, over.values), over.texts, strict=True)) for over in overs}
+    for key in ("seed", *(over.key for over in overs if over.key != "seed")):
+        values = [row[key] for row in rows]
+        if all(isinstance(v, int) and not isinstance(v, bool) for v in values if v is not None):
+            table[key] = pd.array(values, dtype="Int64")
+        elif all(isinstance(v, int | float) and not isinstance(v, bool) for v in values if v is not None):
+            table[key] = pd.array(values, dtype="Float64")
+        elif all(isinstance(v, bool | None) for v in values):
+            table[key] = pd.array(values, dtype="boolean")
+        else:  # strings, and lists or tables as they were written
+            table[key] = pd.array([v if isinstance(v, str) else texts[key][repr(v)] for v in values], dtype="string")
+    for column in ("method", "scored_on"):
+        table[column] = pd.array([row.get(column) for row in rows], dtype="string")
+    table["n_poses"] = pd.array([row.get("n_poses") for row in rows], dtype="Int64")
+    for column in METHOD_NUMBERS:
+        table[column] = pd.array([row.get(column) for row in rows], dtype="Float64")
+    table["error"] = pd.array([row.get("error") for row in rows], dtype="string")
+    return table

@@ -1,0 +1,1 @@
+"""Virtual robots: known errors, measurements of themselves, and siblings of one design."""
