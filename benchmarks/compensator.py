@@ -18,8 +18,8 @@ from kincal.identification.compiled import build, find_compiler
 from kincal.identification.measurements import quaternions
 from kincal.pipeline.compensator.code import sources
 from kincal.pipeline.compensator.compensator import Compensator
-from kincal.pipeline.interface.queries import shipped
 from kincal.pipeline.methods.predictors import HybridMethod, ModelMethod
+from kincal.pipeline.run.calibrated import calibrated
 from kincal.pipeline.run.runner import Run
 from kincal.pipeline.store.store import Store
 from kincal.urdf.description import load_robot
@@ -37,7 +37,7 @@ def main() -> None:
         with tempfile.TemporaryDirectory() as folder:
             session = Run(load_robot(robot), Store(Path(folder) / "store"))
             for method in ("geometric", "hybrid"):
-                found = shipped(session, method)
+                found = calibrated(session.robot.description, session.until, method)
                 chosen = found.methods()[method]
                 assert isinstance(chosen, ModelMethod | HybridMethod)
                 _measure(robot, method, chosen, found.channels, session, Path(folder))

@@ -95,12 +95,19 @@ def default_channels(tool_axes: tuple[int, ...]) -> tuple[Channel, ...]:
 
 
 def read_table(file: Path, joints: Sequence[str], measure: Measure, measured: bool = True) -> pd.DataFrame:
-    """A CSV or Parquet file as the canonical table: pose, one column a joint, and the measured columns it has.
+    """A CSV or Parquet file as the canonical table; see `canonical_table`."""
+    return canonical_table(load(file, measure), joints, measure, file, measured)
 
+
+def canonical_table(
+    raw: pd.DataFrame, joints: Sequence[str], measure: Measure, file: Path | str, measured: bool = True
+) -> pd.DataFrame:
+    """A table as somebody brought it -> pose, one column a joint, and the measured columns it has; SI units.
+
+    file: where it came from, for messages.
     measured: whether something must have been measured; a table of joint values alone is fine otherwise.
     Raises InputError that names the file, the column, the row and the value.
     """
-    raw = load(file, measure)
     if not len(raw):
         raise InputError(f"{file}: the table is empty; at least one row is needed")
     known = ["pose", *joints, *(c for group in _GROUPS for c in group), "yaw"]
@@ -129,7 +136,7 @@ def read_table(file: Path, joints: Sequence[str], measure: Measure, measured: bo
     return pd.DataFrame(columns)
 
 
-def numbers(values: Sequence[object], column: Column, file: Path) -> np.ndarray:
+def numbers(values: list[object], column: Column, file: Path | str) -> np.ndarray:
     """Column values as finite numbers in SI units. Raises InputError that names the row."""
     found = floats(pd.Series(values))
     number = np.abs(found) < _LARGEST
@@ -144,7 +151,7 @@ def numbers(values: Sequence[object], column: Column, file: Path) -> np.ndarray:
     return found * UNITS[column.unit]
 
 
-def _check_groups(columns: Mapping[str, np.ndarray], file: Path, measured: bool) -> None:
+def _check_groups(columns: Mapping[str, np.ndarray], file: Path | str, measured: bool) -> None:
     for group in _GROUPS:
         found = [c for c in group if c in columns]
         if found and len(found) < len(group):
@@ -154,7 +161,7 @@ def _check_groups(columns: Mapping[str, np.ndarray], file: Path, measured: bool)
         raise InputError(f"{file}: nothing was measured; allowed are {_ALLOWED}")
 
 
-def _check_rows(columns: dict[str, np.ndarray], file: Path) -> None:
+def _check_rows(columns: dict[str, np.ndarray], file: Path | str) -> None:
     pose = columns["pose"]
     _refuse(pose != np.round(pose), file, "pose", pose, "whole numbers")
     columns["pose"] = pose = pose.astype(np.int64)
@@ -173,7 +180,7 @@ def _check_rows(columns: dict[str, np.ndarray], file: Path) -> None:
             raise InputError(f"{file}: row {bad[0] + 1}: the quaternion's length is {length[bad[0]]:.4g}; allowed is 1")
 
 
-def _refuse(bad: np.ndarray, file: Path, column: str, values: np.ndarray, allowed: str) -> None:
+def _refuse(bad: np.ndarray, file: Path | str, column: str, values: np.ndarray, allowed: str) -> None:
     if bad.any():
         row = int(np.argmax(bad))
         raise InputError(f"{file}: column {column!r}, row {row + 1}: found {values[row]:g}; allowed are {allowed}")
@@ -214,7 +221,7 @@ def to_table(joints: Sequence[str], readings: np.ndarray, measured: Mapping[str,
 
 
 def check_readings(
-    table: pd.DataFrame, chain: ClosedChain, actuators: Actuators, tolerance: Tolerance, file: Path
+    table: pd.DataFrame, chain: ClosedChain, actuators: Actuators, tolerance: Tolerance, file: Path | str
 ) -> None:
     """Refuse joint values beyond the URDF's limits (three tolerances of zero and gain are forgiven)."""
     for k, name in enumerate(chain.actuated_names):

@@ -55,11 +55,11 @@ def header(file: Path, measure: Measure) -> list[str]:
         names = next((row for row in rows if any(cell.strip() for cell in row)), [])
     if not names:
         raise InputError(f"{file}: the file is empty; a header and at least one row are needed")
-    _check_names(file, names)
+    check_names(file, names)
     return names
 
 
-def _check_names(file: Path, names: Sequence[str]) -> None:
+def check_names(file: Path | str, names: Sequence[str]) -> None:
     if len(names) > MAX_COLUMNS:
         raise InputError(f"{file}: {len(names)} columns; allowed are {MAX_COLUMNS}")
     repeated = next((name for name, n in Counter(names).items() if n > 1), None)
@@ -133,7 +133,7 @@ def parquet(file: Path) -> Iterator[tuple[ParquetFile, list[str]]]:
     pa.set_memory_pool(pa.system_memory_pool())
     with readable(file), bounded(file):
         schema = pq.read_schema(file)
-        _check_names(file, schema.names)
+        check_names(file, schema.names)
         plain = [field.name for field in schema if not pa.types.is_nested(field.type)]
         texts = [name for name in plain if _is_text(schema.field(name).type)]
         # by default it reads ahead: as much memory as the file has bytes

@@ -397,6 +397,12 @@ class Robot:
     file: Path
     description: RobotDescription
     fleet: Path | None = None  # the fleet file that makes it a unit of this design
+    reference: str = ""  # what opens it again from any folder: a path to its robot.toml, or FLEET.toml:UNIT
+    overrides: tuple[str, ...] = ()  # with these settings, as of --set
+
+    def __repr__(self) -> str:
+        settings = "".join(f", {text}" for text in self.overrides)
+        return f"Robot({self.description.name!r}, {self.reference or self.file}{settings})"
 
     @property
     def stands_in(self) -> Path:

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
 from typing import Annotated, Any
@@ -25,6 +26,7 @@ from kincal.urdf.description import (
     Robot,
     Seed,
     Setting,
+    as_absolute,
     described,
     find_robot,
     load_robot,
@@ -90,14 +92,19 @@ def load(reference: str, overrides: Sequence[str] = ()) -> Robot:
     """
     if is_unit(reference):
         file, _, unit = reference.rpartition(":")
-        return _unit(Path(file).absolute(), unit, overrides)
+        return _reopenable(_unit(Path(file).absolute(), unit, overrides), reference, overrides)
     try:
-        return load_robot(reference, overrides)
+        return _reopenable(load_robot(reference, overrides), reference, overrides)
     except InputError:
         if os.path.isfile(reference) and "design" in read_toml(Path(reference)):
             which = f"--all --from {reference}, or one unit, {reference}:NAME"
             raise InputError(f"{reference}: a fleet, not a robot: {which}") from None
         raise
+
+
+def _reopenable(robot: Robot, reference: str, overrides: Sequence[str]) -> Robot:
+    """With what opens it again, from any folder."""
+    return replace(robot, reference=as_reference(reference), overrides=tuple(map(as_absolute, overrides)))
 
 
 def is_unit(reference: str) -> bool:

@@ -170,10 +170,15 @@ def _check_condition(chain: ClosedChain, workspace: Workspace, u: np.ndarray, q:
 
 def check_limits(chain: ClosedChain, q: np.ndarray, what) -> None:
     """Refuse configurations q: (n, n_joints) beyond the URDF's joint limits; what(row) begins the message."""
+    for row, message in sorted(beyond_limits(chain, q).items()):
+        raise InputError(f"{what(row)}: {message}")
+
+
+def beyond_limits(chain: ClosedChain, q: np.ndarray) -> dict[int, str]:
+    """{row: the first joint that is beyond the URDF's limits there} of configurations q: (n, n_joints)."""
     outside = np.argwhere((q < chain.lower - 1e-9) | (q > chain.upper + 1e-9))
-    if len(outside):
-        row, j = outside[0]
-        raise InputError(
-            f"{what(row)}: joint {chain.joint_names[j]!r} would be at {q[row, j]:.6g}; "
-            f"its limits are [{chain.lower[j]:.6g}, {chain.upper[j]:.6g}]"
-        )
+    return {
+        int(row): f"joint {chain.joint_names[j]!r} would be at {q[row, j]:.6g}; "
+        f"its limits are [{chain.lower[j]:.6g}, {chain.upper[j]:.6g}]"
+        for row, j in outside[::-1]  # so that the first of a row stays
+    }

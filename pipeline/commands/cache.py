@@ -1,19 +1,33 @@
-"""The commands of `kincal` about what is stored: freed, taken for the new code's, looked over."""
+"""`kincal cache`: what is stored may go, stays valid, or is looked over."""
 
 from __future__ import annotations
 
-from collections import Counter
+from collections.abc import Callable
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
-from cyclopts import Parameter
+from cyclopts import App, Parameter
 from rich.text import Text
 
-from kincal.pipeline.commands.console import err, out, print_json, show_table
-from kincal.pipeline.commands.options import COMMON, Common, Flag, Json, Robot, opened
+from kincal.pipeline.commands.console import out, print_json, show_table
+from kincal.pipeline.commands.options import COMMON, Common, Flag, Json, Robot, command_line
+from kincal.pipeline.interface.progress import err
 from kincal.urdf.errors import CalibrationError, InputError
 
+app = App(name="cache", help="Free, accept or verify cached results.", help_format="plaintext", version_flags=[])
 
+
+def moved(name: str) -> Callable[..., None]:
+    """A command under its old name: one line that names the new one."""
+
+    def old(*arguments: Annotated[Any, Parameter(allow_leading_hyphen=True)]) -> None:
+        raise InputError(f"kincal {name}: write kincal cache {name}")
+
+    old.__doc__ = f"Now: kincal cache {name}."
+    return old
+
+
+@app.command
 def gc(
     *,
     dry_run: Flag = False,
@@ -38,33 +52,23 @@ def gc(
     store
         The folder of cached artifacts.
     """
-    from kincal.pipeline.store.garbage import free, garbage, unreferenced
-    from kincal.pipeline.store.store import Store
+    from kincal.pipeline.interface.cache import collect
 
-    if not store.is_dir():
-        raise InputError(f"--store {store}: no such folder")
-    kept = Store(store)
-    found = garbage(kept, unfinished=unfinished, gone=gone, keep_damaged=keep_damaged)
-    freed = found.found if dry_run else free(kept, found.found)
-    remarks = list(unreferenced(found.roots, gone=gone, unfinished=unfinished))
-    counts, sizes = Counter(one.kind for one in freed), Counter()
-    for one in freed:
-        sizes[one.kind] += one.bytes
+    result = collect(store, dry_run=dry_run, unfinished=unfinished, gone=gone, keep_damaged=keep_damaged)
     if json:
-        kinds = {kind: {"count": counts[kind], "bytes": sizes[kind]} for kind in counts}
-        paths = sorted(str(one.path.relative_to(kept.root)) for one in freed)
-        print_json({"dry_run": dry_run, "freed": kinds, "paths": paths, "kept": remarks})
+        print_json(result.to_dict())
         return
-    for remark in remarks:
+    for remark in result.remarks:
         err.print(Text(f"note: {remark}", style="yellow"), soft_wrap=True)
     if dry_run:
-        for one in freed:
-            out.print(Text(f"{one.kind:<10} {one.bytes:>10} {one.path.relative_to(kept.root)}"), soft_wrap=True)
-    parts = ", ".join(f"{n} {kind}{'s' * (n > 1 and kind != 'damaged')}" for kind, n in sorted(counts.items()))
-    said = "would free" if dry_run else "freed"
-    out.print(Text(f"{said} {len(freed)} ({parts or 'nothing'}), {sum(sizes.values())} bytes"), soft_wrap=True)
+        for one in result.freed:
+            out.print(Text(f"{one.kind:<10} {one.bytes:>10} {one.path.relative_to(result.root)}"), soft_wrap=True)
+    parts = ", ".join(f"{n} {kind}{'s' * (n > 1 and kind != 'damaged')}" for kind, n in result.counts.items())
+    verb = "would free" if dry_run else "freed"
+    out.print(Text(f"{verb} {len(result.freed)} ({parts or 'nothing'}), {result.bytes} bytes"), soft_wrap=True)
 
 
+@app.command
 def accept(
     robot: Robot,
     *,
@@ -72,47 +76,50 @@ def accept(
     json: Json = False,
     common: Common = COMMON,
 ) -> None:
-    """After a refactoring that changes no result: take what is stored for what the code of now would make.
+    """Mark cached results as valid for the current code: after a refactoring that changes no result.
 
     Parameters
     ----------
     stage
         Of this stage alone; may be repeated.
     """
-    from kincal.pipeline.run.acceptance import accept as accepted
+    from kincal.pipeline.interface.cache import accept as accepted
+    from kincal.pipeline.interface.robots import load
 
-    found = accepted(opened(robot, common), stage or ())
+    result = accepted(load(robot, common.overrides), common.store, stage or (), command_line())
     if json:
-        print_json([{"stage": a.stage, "changed": list(a.changed), "key": a.key, "digest": a.digest} for a in found])
+        print_json([{"stage": a.stage, "changed": list(a.changed), "key": a.key, "digest": a.digest} for a in result])
         return
-    for a in found:
+    for a in result:
         out.print(Text(f"{a.stage:<10} accepted: code {', '.join(a.changed)} changed"), soft_wrap=True)
-    if not found:
+    if not result:
         out.print("nothing to accept: no stage's code has changed")
 
 
+@app.command
 def verify(robot: Robot, *, json: Json = False, common: Common = COMMON) -> None:
     """Check all that the robot's results rest on: seals, digests, the chain, and the comparison made once more."""
+    from kincal.pipeline.interface.cache import verify as verified
+    from kincal.pipeline.interface.robots import load
     from kincal.pipeline.report.tables import Table
-    from kincal.pipeline.run.verification import verify as verified
 
-    found = verified(opened(robot, common))
+    result = verified(load(robot, common.overrides), common.store, command_line(), progress=True)
     if json:
-        print_json(found.json())
+        print_json(result.json())
     else:
         rows = [
             (c.stage, c.entry.digest[:12] if c.entry else "", "; ".join(c.problems) or "as stored")
-            for c in found.stages
+            for c in result.stages
         ]
         show_table(Table(("stage", "content", "found"), tuple(rows)), align="left")
-        for note, n in found.studies.items():
+        for note, n in result.studies.items():
             out.print(Text(f"{note}: {n} artifacts"))
-        if found.derived is None:
+        if result.derived is None:
             out.print("comparison: not made once more")
         else:
-            same = "the same bytes" if found.derived.same_bytes else f"differs by {found.derived.largest:.2g} at most"
-            code = ", by code that has changed since" if found.derived.code_changed else ""
+            same = "the same bytes" if result.derived.same_bytes else f"differs by {result.derived.largest:.2g} at most"
+            code = ", by code that has changed since" if result.derived.code_changed else ""
             out.print(Text(f"comparison, made once more of the stored inputs{code}: {same}"), soft_wrap=True)
-    if found.problems:
-        more = f" and {len(found.problems) - 1} more" if len(found.problems) > 1 else ""
-        raise CalibrationError(f"{found.robot}: {found.problems[0]}{more}")
+    if result.problems:
+        more = f" and {len(result.problems) - 1} more" if len(result.problems) > 1 else ""
+        raise CalibrationError(f"{result.robot}: {result.problems[0]}{more}")

@@ -10,11 +10,8 @@ from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
 
-from kincal.pipeline.commands.console import Progress
-from kincal.urdf.errors import InputError
-
 if TYPE_CHECKING:
-    from kincal.pipeline.run.runner import Run
+    from kincal.pipeline.interface.calibration import Calibration
 
 Robot = Annotated[str, Parameter(help="A shipped robot's name, the path to a robot.toml, or FLEET.toml:UNIT.")]
 Flag = Annotated[bool, Parameter(negative=())]
@@ -43,18 +40,13 @@ class Common:
 COMMON = Common()
 
 
-def opened(robot: str, common: Common, force_from: str | None = None) -> Run:
-    """The robot's way through the stages, which says on stderr how far it is. Raises InputError."""
-    from kincal.pipeline.run.runner import Run
-    from kincal.pipeline.run.stage import all_stages
-    from kincal.pipeline.store.store import Store
-    from kincal.urdf.description import nearest
-    from kincal.urdf.fleet import load
+def opened(robot: str, common: Common, force_from: str | None = None) -> Calibration:
+    """The robot, with progress on stderr. Raises InputError."""
+    from kincal.pipeline.interface.calibration import Calibration
+    from kincal.pipeline.interface.robots import load
 
-    if force_from is not None and force_from not in all_stages():
-        raise InputError(f"--force-from {force_from}: no such stage; {nearest(force_from, all_stages())}")
     loaded = load(robot, common.overrides)
-    return Run(loaded, Store(common.store), force_from, Progress(loaded.description.name), command_line())
+    return Calibration.open(loaded, store=common.store, progress=True, command=command_line(), force_from=force_from)
 
 
 def command_line() -> str:

@@ -20,8 +20,9 @@ from kincal.pipeline.compensator.compensator import Compensator
 from kincal.pipeline.compensator.library import Library
 from kincal.pipeline.export.export import TOLERANCE
 from kincal.pipeline.export.target import MADE_HERE, beside, check_folder_free
-from kincal.pipeline.interface.queries import Shipped, shipped
+from kincal.pipeline.methods.calibrated import Calibrated
 from kincal.pipeline.methods.predictors import HybridMethod, ModelMethod
+from kincal.pipeline.run.calibrated import calibrated
 from kincal.pipeline.run.runner import Run
 from kincal.pipeline.run.stage import version
 from kincal.urdf.description import Workspace
@@ -66,7 +67,7 @@ def export_code(session: Run, method: str = "hybrid", output: Path | None = None
     output, name = output or Path(f"{description.name}_compensator"), code_name(description.name)
     marker = output / f"{name}.h"
     check_folder_free(output, session.robot.file, force, marker)
-    found = shipped(session, method)
+    found = calibrated(session.robot.description, session.until, method)
     chosen = found.methods()[method]
     assert isinstance(chosen, ModelMethod | HybridMethod)
     compensator = Compensator.of(chosen, found.channels, description.workspace)
@@ -85,7 +86,7 @@ def export_code(session: Run, method: str = "hybrid", output: Path | None = None
     return ExportedCode(output, name, agreed, compiler, most)
 
 
-def _said(session: Run, found: Shipped, method: ModelMethod | HybridMethod, name: str) -> list[str]:
+def _said(session: Run, found: Calibrated, method: ModelMethod | HybridMethod, name: str) -> list[str]:
     """Where the code comes from."""
     fit = found.identified.shipped
     said = [

@@ -45,7 +45,7 @@ _SHARES = (1.0, 0.98, 0.95, 0.9)  # of the workspace, tried in turn where the ca
 
 
 @dataclass(frozen=True)
-class Calibrated:
+class IdentifiedRobot:
     """The identified robot, and what it predicts at the readings where its export is checked."""
 
     source: Robot
@@ -118,7 +118,7 @@ def export_document(session: Run, output: Path | None = None, force: bool = Fals
     return Exported(output, document, len(calibrated.readings), *agreement)
 
 
-def identified_robot(session: Run) -> Calibrated:
+def identified_robot(session: Run) -> IdentifiedRobot:
     """Runs the stages up to `identify`, which raises where the fit fails its checks."""
     model, measured, filtered, identified = session.until("model", "measure", "filter", "identify")
     description = session.robot.description
@@ -142,7 +142,7 @@ def calibrated_robot(
     errors: ErrorModel,
     robot: BuiltRobot,
     readings: np.ndarray,
-) -> Calibrated:
+) -> IdentifiedRobot:
     """`robot` with all that is exported beside it, to be checked at the measured readings and at random ones."""
     chain = errors.chain
     home = robot.close(errors.actuators.readings(chain.home[None, chain.actuated]))
@@ -158,10 +158,10 @@ def calibrated_robot(
         raise CalibrationError(f"the identified robot can't close its loops at {where}; nothing was exported")
     closed = replace(robot, chain=replace(robot.chain, home=home.q[0], home_pose=home.pose[0]))
     predicted = robot.measured(closure.pose)
-    return Calibrated(source, model, found, measured, closed, readings, closure.pose, predicted)
+    return IdentifiedRobot(source, model, found, measured, closed, readings, closure.pose, predicted)
 
 
-def write_folder(calibrated: Calibrated, folder: Path, final: Path) -> Exported:
+def write_folder(calibrated: IdentifiedRobot, folder: Path, final: Path) -> Exported:
     """The three files in `folder`, checked; `final` is where the folder will stand, for relative paths."""
     description, found = calibrated.description, calibrated.found
     said = (
@@ -192,7 +192,7 @@ def write_folder(calibrated: Calibrated, folder: Path, final: Path) -> Exported:
     return Exported(folder, None, n, *agreement, instrument=urdf.instrument, target=urdf.target, note=note)
 
 
-def parameters_csv(calibrated: Calibrated) -> str:
+def parameters_csv(calibrated: IdentifiedRobot) -> str:
     """The parameter table in SI units and radians, in full precision; sigma is empty where nothing sees a parameter."""
     columns = ("name", "unit", "initial", "final", "change", "sigma", "identifiable")
     text = io.StringIO()
@@ -204,7 +204,7 @@ def parameters_csv(calibrated: Calibrated) -> str:
     return text.getvalue()
 
 
-def _described(calibrated: Calibrated, urdf: CalibratedUrdf) -> RobotDescription:
+def _described(calibrated: IdentifiedRobot, urdf: CalibratedUrdf) -> RobotDescription:
     """The description with the identified actuators and the URDF's own frames."""
     description, robot = calibrated.description, calibrated.robot
     loops = zip(description.loop, urdf.loop_frames, strict=True)
@@ -215,7 +215,7 @@ def _described(calibrated: Calibrated, urdf: CalibratedUrdf) -> RobotDescription
     return description.model_copy(update=update | ({"loop": loop} if loop else {}))
 
 
-def _workspaces(calibrated: Calibrated) -> Iterator[tuple[Workspace, str]]:
+def _workspaces(calibrated: IdentifiedRobot) -> Iterator[tuple[Workspace, str]]:
     """The workspace as it stands; then what is nearest to it, for a robot that was drawn to the edge of its limits."""
     stands, home = calibrated.description.workspace, calibrated.robot.chain.home_pose
     for share in _SHARES:
@@ -240,7 +240,7 @@ def _shrunk(workspace: Workspace, share: float) -> Workspace:
 
 
 def _check_reloaded(
-    calibrated: Calibrated, description: RobotDescription, model: Model, urdf: CalibratedUrdf
+    calibrated: IdentifiedRobot, description: RobotDescription, model: Model, urdf: CalibratedUrdf
 ) -> tuple[float, float]:
     """Refuse a folder whose robot is another one than the identified. What was read back predicts:
     the tool in the base frame, and the target's link in the instrument's."""
@@ -262,7 +262,7 @@ def _same_structure(one: ClosedChain, other: ClosedChain) -> bool:
     )
 
 
-def _agreement(calibrated: Calibrated, closed: np.ndarray, tool: Motion, predicted: Motion) -> tuple[float, float]:
+def _agreement(calibrated: IdentifiedRobot, closed: np.ndarray, tool: Motion, predicted: Motion) -> tuple[float, float]:
     """The largest differences [m, rad] of reloaded from identified poses (n). Raises CalibrationError beyond 1e-9."""
     if not closed.all():
         raise CalibrationError(

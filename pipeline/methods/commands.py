@@ -11,10 +11,9 @@ from kincal.pipeline.methods.predictors import Method
 from kincal.urdf.actuators import Actuators
 from kincal.urdf.closed_chain import ClosedChain
 from kincal.urdf.description import Workspace
-from kincal.urdf.errors import InputError
 from kincal.urdf.kinematics import Closure, forward
 from kincal.urdf.rigid_motion import Motion
-from kincal.urdf.workspace import check_limits, condition_numbers
+from kincal.urdf.workspace import beyond_limits, condition_numbers
 
 
 @dataclass(frozen=True)
@@ -44,28 +43,15 @@ def attempt(
     return Attempt(readings, reached, closure, condition_numbers(chain, closure.q))
 
 
-def commands(
-    method: Method,
-    desired: Motion,
-    chain: ClosedChain,
-    actuators: Actuators,
-    workspace: Workspace,
-    poses: np.ndarray,
-    channels: tuple[str, ...] = WHOLE,
-) -> np.ndarray:
-    """Readings (n, n_actuated) that reach desired poses (n), numbered `poses` (n,).
-
-    Raises InputError that names the first pose that can't be reached, breaks a joint limit or is near a singularity.
-    """
-    tried = attempt(method, desired, chain, actuators, channels)
-    _refuse(~tried.reached, poses, "can't be reached")
-    _refuse(~tried.closure.closed, poses, "can't be reached: the loops don't close there")
-    check_limits(chain, tried.closure.q, lambda row: f"pose {poses[row]}")
-    why = f"is near a singularity (condition number beyond max_condition = {workspace.max_condition:g})"
-    _refuse(tried.condition > workspace.max_condition, poses, why)
-    return tried.readings
-
-
-def _refuse(bad: np.ndarray, poses: np.ndarray, why: str) -> None:
-    if bad.any():
-        raise InputError(f"pose {poses[int(np.argmax(bad))]} {why}")
+def obstacles(tried: Attempt, chain: ClosedChain, workspace: Workspace) -> tuple[str, ...]:
+    """(n,) what stands in the way of each command, to be said after the pose's number; empty where nothing does."""
+    found = np.full(len(tried.readings), "", dtype=object)
+    # what matters most comes last
+    found[tried.condition > workspace.max_condition] = (
+        f" is near a singularity (condition number beyond max_condition = {workspace.max_condition:g})"
+    )
+    for row, said in beyond_limits(chain, tried.closure.q).items():
+        found[row] = f": {said}"
+    found[~tried.closure.closed] = " can't be reached: the loops don't close there"
+    found[~tried.reached] = " can't be reached"
+    return tuple(found)

@@ -14,7 +14,8 @@ from kincal.identification.observability import Observability, observability
 from kincal.identification.predicted_accuracy import PredictedAccuracy
 from kincal.identification.summary import summarise
 from kincal.pipeline.planning.layouts import planner
-from kincal.pipeline.run.runner import Run
+from kincal.pipeline.results import Model, PosePlan
+from kincal.urdf.description import RobotDescription
 from kincal.urdf.kinematics import inverse
 from kincal.urdf.workspace import AXES
 
@@ -48,11 +49,10 @@ class Foresight:
         return {"observability": asdict(self.observability), "predicted_accuracy": asdict(self.accuracy)}
 
 
-def foresee(session: Run) -> Foresight:
+def foresee(description: RobotDescription, model: Model, plan: PosePlan) -> Foresight:
     """Of the planned poses and the sensors of robot.toml, at the robot as drawn with W = T = 1."""
-    model, plan = session.until("model", "plan")
     chain = model.chain()
-    planned = planner(session.robot.description, chain)
+    planned = planner(description, chain)
     readings = plan.table[list(chain.actuated_names)].to_numpy(float)
     u = np.zeros((len(readings), 6))
     for axis in chain.tool_axes:

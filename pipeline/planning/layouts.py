@@ -20,7 +20,6 @@ from kincal.identification.poses import planned
 from kincal.identification.predicted_accuracy import PredictedAccuracy, Probe
 from kincal.identification.registration import MIN_POSES
 from kincal.pipeline.report.tables import Table, fixed
-from kincal.pipeline.run.runner import Run
 from kincal.pipeline.store.files import refusing, replace_file
 from kincal.urdf.closed_chain import ClosedChain
 from kincal.urdf.description import Channel, Layout, Plan, RobotDescription, Sensor, Workspace
@@ -141,19 +140,20 @@ def planner(description: RobotDescription, chain: ClosedChain) -> Planner:
     return Planner(errors, description.workspace, channels, sensor, description.seed)
 
 
-def plan_report(session: Run, layout: Layout | None, poses: int | None, wanted: Wanted | None) -> PlanReport:
+def plan_report(
+    description: RobotDescription, chain: ClosedChain, layout: Layout | None, poses: int | None, wanted: Wanted | None
+) -> PlanReport:
     """The plan of `kincal plan`.
 
     layout: default that of robot.toml, else d_optimal. poses: default as many as are wanted, else those of robot.toml.
     """
-    description = session.robot.description
     chosen = layout or description.plan.layout or "d_optimal"
     if poses is not None:
         check_count(poses)
     for option, value in (("--accuracy", wanted and wanted.deg), ("--accuracy-mm", wanted and wanted.mm)):
         if value is not None and not (np.isfinite(value) and value > 0):
             raise InputError(f"{option} {value:g}: allowed are numbers greater than 0")
-    plan = planner(description, session.until("model")[0].chain())
+    plan = planner(description, chain)
     needed: dict[Layout, int | None] = {}
     if wanted is not None:
         _check_measured(wanted, plan.probe)

@@ -17,6 +17,7 @@ from kincal.pipeline.run.changes import change, explain, file_digest
 from kincal.pipeline.run.fingerprint import Code
 from kincal.pipeline.run.provenance import published
 from kincal.pipeline.run.stage import Stage, all_stages, needed, version
+from kincal.pipeline.run.threads import fixed_threads
 from kincal.pipeline.store.digests import digest
 from kincal.pipeline.store.manifest import Damaged, Entry
 from kincal.pipeline.store.store import Store
@@ -120,7 +121,8 @@ class Run:
             found = None if forced else self._find(stage, key)  # another run may have made it meanwhile
             if found is None:
                 try:
-                    value = stage.function(**inputs, **{name: self._setting(name) for name in stage.settings})
+                    with fixed_threads(stage.libraries):
+                        value = stage.function(**inputs, **{name: self._setting(name) for name in stage.settings})
                 except FloatingPointError as error:  # a loss that is not a number, a matrix that can't be factored
                     raise CalibrationError(f"{stage.name}: {error}; nothing was stored") from None
                 for note in getattr(value, "warnings", ()):

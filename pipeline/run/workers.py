@@ -6,6 +6,7 @@ import atexit
 import ctypes
 import os
 import signal
+import sys
 import threading
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator
@@ -13,8 +14,10 @@ from concurrent.futures import CancelledError, Executor, Future, ProcessPoolExec
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from contextvars import ContextVar
-from multiprocessing import get_context, parent_process
+from multiprocessing import parent_process
+from multiprocessing.context import SpawnContext, SpawnProcess
 from queue import LifoQueue
+from types import ModuleType
 from typing import Any, ParamSpec, TypeVar
 
 from kincal.urdf.errors import CalibrationError
@@ -65,6 +68,23 @@ class InProcess(JobExecutor):
         return future
 
 
+class _WorkerProcess(SpawnProcess):
+    """Does not run the caller's main script: a script that starts a study without a guard would start itself again."""
+
+    @staticmethod
+    def _Popen(process_obj: Any) -> Any:
+        main = sys.modules["__main__"]
+        sys.modules["__main__"] = ModuleType("__main__")
+        try:
+            return SpawnProcess._Popen(process_obj)  # pyright: ignore[reportAttributeAccessIssue]
+        finally:
+            sys.modules["__main__"] = main
+
+
+class _WorkerContext(SpawnContext):
+    Process = _WorkerProcess
+
+
 class Workers(JobExecutor):
     """Worker processes, each a pool of its own with a thread here that waits for it.
 
@@ -108,7 +128,7 @@ class Workers(JobExecutor):
 
     def _started(self) -> ProcessPoolExecutor:
         """A pool of one process, which starts with its first job."""
-        pool = ProcessPoolExecutor(1, get_context("spawn"), initializer=_begin, initargs=(self._n_threads,))
+        pool = ProcessPoolExecutor(1, _WorkerContext(), initializer=_begin, initargs=(self._n_threads,))
         self._pools.add(pool)
         return pool
 

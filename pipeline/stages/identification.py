@@ -12,6 +12,7 @@ if TYPE_CHECKING:
     import numpy as np
 
     from kincal.identification.error_model import ErrorModel
+    from kincal.identification.identification import Identification
     from kincal.identification.measurements import Measurements
 
 
@@ -27,25 +28,31 @@ def identify(
     seed: int,
 ) -> Identified:
     """All geometric parameters from the measured poses; and from parts of them, to be scored on the rest."""
-    from kincal.identification.diagnosis import registered as register
-    from kincal.identification.estimators import identify as estimate
     from kincal.identification.poses import folds, held_out
-    from kincal.identification.summary import summarise
 
     errors = error_model(model, tolerance, actuator)
     poses = used_poses(filtered, errors, sensor, split, seed)
     parts = () if measured.truth is not None else folds(len(poses), split, seed)
     test = held_out(len(poses), split, seed)
-    registered = register(errors, poses, identify.max_iterations)
-    whole = estimate(errors, poses, identify, registered)
-    shipped = summarise(errors, poses, whole, registered, identify)
+    shipped, registered = as_built(errors, poses, identify)
     poses = poses.scaled(shipped.sensor_estimated)
     return Identified(
         shipped=shipped,
-        registered=registered.p,
+        registered=registered,
         held_out=_fit(errors, poses, test, identify),
         folds=tuple(_fit(errors, poses, part, identify) for part in parts),
     )
+
+
+def as_built(errors: ErrorModel, poses: Measurements, settings: Identify) -> tuple[Identification, np.ndarray]:
+    """The robot from all of these poses; and (n_parameters,) W and T alone."""
+    from kincal.identification.diagnosis import registered as register
+    from kincal.identification.estimators import identify as estimate
+    from kincal.identification.summary import summarise
+
+    registered = register(errors, poses, settings.max_iterations)
+    whole = estimate(errors, poses, settings, registered)
+    return summarise(errors, poses, whole, registered, settings), registered.p
 
 
 def _fit(errors: ErrorModel, poses: Measurements, test: np.ndarray, settings: Identify) -> Fit:

@@ -13,19 +13,20 @@ from pathlib import Path
 
 from kincal.pipeline.store.digests import digest
 from kincal.pipeline.store.manifest import read_json
-from kincal.pipeline.store.store import FREED, UNFINISHED, Store, lock_folder
+from kincal.pipeline.store.store import FREED, TABLES, UNFINISHED, Store, lock_folder
 from kincal.urdf.input_files import is_missing
 
 ROBOT = "robot.json"  # of robots/ID: which robot.toml it is
 _KEY, _LOCK = re.compile(r"[0-9a-f]{40}"), re.compile(r".+-[0-9a-f]{32}\.lock")
 _TEMPORARY, _DAMAGED = re.compile(r"(seen-)?[0-9a-f]{32}"), re.compile(r".+-[0-9a-f]{12}-[0-9a-f]{8}")
+_TABLE = re.compile(r"dataframe-[0-9a-f]{16}\.parquet")
 
 
 @dataclass(frozen=True)
 class Removable:
     """Something in the store that may go."""
 
-    kind: str  # artifact, unfinished, damaged, leftover, lock, robot
+    kind: str  # artifact, unfinished, damaged, leftover, lock, robot, table
     path: Path
     bytes: int
 
@@ -64,6 +65,8 @@ def garbage(store: Store, *, unfinished: bool = False, gone: bool = False, keep_
         name = (folder.parent.name, folder.name)
         if name not in named and folder.parent.name not in roots.kept:
             found.append(_removable("artifact", folder))
+    if "measure" not in roots.kept:
+        found += [_removable("table", file) for file in _unused_tables(store, named)]
     for robot in _listed(store.root / "robots"):
         if robot in roots.gone and gone:
             found.append(_removable("robot", robot))
@@ -84,7 +87,7 @@ def free(store: Store, found: Collection[Removable]) -> list[Removable]:
         for one in found:
             if one.kind == "lock":
                 done = _unlocked(one.path)
-            elif one.kind == "leftover":
+            elif one.kind in ("leftover", "table"):
                 done = _swept(one.path)
             else:
                 done = store.discard(one.path)
@@ -94,6 +97,19 @@ def free(store: Store, found: Collection[Removable]) -> list[Removable]:
         if artifacts:
             store.note(store.root / FREED, json.dumps(artifacts).encode())
     return freed
+
+
+def _unused_tables(store: Store, named: Collection[tuple[str, str]]) -> Iterator[Path]:
+    """Tables of measurements that came as values, and that no artifact in use was measured by."""
+    used = set()
+    for stage, key in named:
+        if stage == "measure":
+            manifest = read_json(store.root / "artifacts" / stage / key / "manifest.json")
+            files = manifest.get("parts", {}).get("files", {}) if isinstance(manifest, dict) else {}
+            used.add(str(files.get("measure.table"))[:16])
+    for file in _listed(store.root / TABLES, _TABLE):
+        if file.stem.rpartition("-")[2] not in used:
+            yield file
 
 
 def _roots(store: Store, without_gone: bool) -> Roots:

@@ -22,6 +22,7 @@ from kincal.urdf.errors import InputError
 
 UNFINISHED = "unfinished"  # of robots/ROBOT: a file a thing that the jobs of a study have made
 FREED = "freed.json"  # what the last `gc` freed
+TABLES = "tables"  # measurements that came as values
 
 
 class Store:
@@ -163,6 +164,21 @@ class Store:
                     (folder / UNFINISHED / f"{stage}-{key[:40]}").unlink(missing_ok=True)
                 (folder / UNFINISHED).rmdir()
 
+    def add_table(self, content: bytes) -> tuple[Path, int]:
+        """Keep a Parquet table that came as a value; its name is its content's. Raises InputError.
+
+        Also an open descriptor: `gc` leaves the file alone until it is closed.
+        """
+        file = self.root / TABLES / f"dataframe-{digest(content)[:16]}.parquet"
+        with self.writing():
+            while True:
+                if file_content(file) != content:
+                    with self._aside() as aside:
+                        file.parent.mkdir(parents=True, exist_ok=True)
+                        replace_file(file, content, aside)
+                with contextlib.suppress(FileNotFoundError):  # freed between these lines
+                    return file, hold_file(file)
+
     def freed(self, stage: str, key: str) -> bool:
         """Whether the last `gc` freed the artifact of this key."""
         found = read_json(self.root / FREED)
@@ -247,6 +263,20 @@ def _in_place(temporary: Path, folder: Path, key: str) -> Entry | None:
                 raise
             continue  # freed, or set aside, in between
         return None
+
+
+def hold_file(file: Path) -> int:
+    """An open descriptor that shares the file's lock with others who hold it. Raises FileNotFoundError."""
+    descriptor = os.open(file, os.O_RDONLY)
+    with contextlib.suppress(OSError):  # a file system without locks
+        fcntl.flock(descriptor, fcntl.LOCK_SH)
+    try:
+        if not os.path.samestat(os.fstat(descriptor), file.stat()):
+            raise FileNotFoundError(errno.ENOENT, os.strerror(errno.ENOENT), str(file))
+    except OSError:
+        os.close(descriptor)
+        raise
+    return descriptor
 
 
 def lock_folder(folder: Path, wait: bool = True) -> int:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -63,20 +64,20 @@ class Carried:
         raise (InputError if bad else CalibrationError)(said)
 
 
-def select(robots: Sequence[str], everything: bool, source: Path | None) -> Selection:
-    """What the command line asks for. Raises InputError."""
-    if source is not None and not everything:
-        raise InputError(f"--from {source}: goes with --all")
-    if everything and robots:
-        raise InputError(f"--all and {robots[0]}: allowed is either")
-    if not everything:
-        if not robots:
-            raise InputError("no robot: name one or more, or --all")
-        found = [as_reference(robot) for robot in robots]
-        repeated = next((r for r, f in zip(robots, found, strict=True) if found.count(f) > 1), None)
-        if repeated is not None:
-            raise InputError(f"robot {repeated!r} stands there twice")
-        return Selection("robots", tuple(found))
+def select(robots: Sequence[str] | str | os.PathLike[str] | None) -> Selection:
+    """References of robots; a fleet file, or a folder of robots' folders; None: all shipped. Raises InputError."""
+    if robots is None or isinstance(robots, str | os.PathLike):
+        return _all(None if robots is None else Path(robots))
+    if not robots:
+        raise InputError("no robot: name one or more, or --all")
+    found = [as_reference(robot) for robot in robots]
+    repeated = next((r for r, f in zip(robots, found, strict=True) if found.count(f) > 1), None)
+    if repeated is not None:
+        raise InputError(f"robot {repeated!r} stands there twice")
+    return Selection("robots", tuple(found))
+
+
+def _all(source: Path | None) -> Selection:
     folder = ROBOTS if source is None else source.absolute()
     if folder.is_file():
         return Selection(folder.stem, tuple(references(folder)))

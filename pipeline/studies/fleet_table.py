@@ -160,14 +160,21 @@ def _provenance(came: Carried) -> dict[str, Any]:
     return {member.reference: outcome.provenance for member, outcome in pairs if isinstance(outcome, Outcome)}
 
 
-def fleet_json(came: Carried, table: pd.DataFrame, file: Path) -> dict[str, Any]:
+def fleet_json(came: Carried, table: pd.DataFrame, file: Path | None) -> dict[str, Any]:
     """The document of `--json`."""
     return _counts(came) | {
         "out_of_family": sorted(set(table["robot"][table["out_of_family"].fillna(False)])),
-        "table": str(file),
+        "table": None if file is None else str(file),
         "rows": records(table),
         "provenance": _provenance(came),
     }
+
+
+def stage_frame(came: Carried) -> pd.DataFrame:
+    """One row a robot: robot, reference, state, error."""
+    import pandas as pd
+
+    return pd.DataFrame(_stage_rows(came))
 
 
 def stage_json(came: Carried, until: str) -> dict[str, Any]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import tomllib
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from decimal import Decimal, InvalidOperation
 from itertools import product
@@ -14,6 +14,7 @@ from typing import Any
 
 from kincal.urdf.errors import InputError
 from kincal.urdf.input_files import parse_toml
+from kincal.urdf.toml_values import as_toml
 
 MOST_JOBS = 10_000
 _LARGEST = 15  # power of ten of a number in a progression
@@ -64,6 +65,17 @@ def parse_over(text: str) -> Over:
     for item in found:
         toml_value(item)
     return Over(key, tuple(found))
+
+
+def over_of(key: str, values: Sequence[Any]) -> Over:
+    """A key and its values, as Python has them. Raises InputError."""
+    if isinstance(values, str) or not isinstance(values, Iterable) or not (listed := list(values)):
+        raise InputError(f"over {key}: found {values!r}; allowed is a list of values, [20, 50]")
+    texts = tuple(as_toml(value, f"over {key}") for value in listed)
+    repeated = next((text for text, n in Counter(texts).items() if n > 1), None)
+    if repeated is not None:
+        raise InputError(f"over {key}: {repeated} stands there twice")
+    return Over(key, texts)
 
 
 def combinations(overs: Sequence[Over]) -> list[tuple[int, ...]]:

@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING, Any
 
 from kincal.pipeline.run.executor import Place, executor
 from kincal.pipeline.run.fan_out import Failure, Job, Observe, Outcome, files_of, portable, run_all
-from kincal.pipeline.studies.grid import Over, combinations, parse_over
+from kincal.pipeline.studies.grid import Over, combinations
 from kincal.pipeline.studies.rows import METHOD_NUMBERS, method_rows
-from kincal.urdf.description import RobotDescription
+from kincal.urdf.description import Robot, RobotDescription
 from kincal.urdf.errors import CalibrationError, InputError
-from kincal.urdf.fleet import as_reference, load
+from kincal.urdf.fleet import load
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -57,23 +57,21 @@ class Swept:
 
 
 def plan_sweep(
-    robot: str, over: Sequence[str], seeds: int, overrides: Sequence[str], store: Path, command: str = ""
+    robot: Robot, over: Sequence[Over], seeds: int, store: Path, command: str = ""
 ) -> tuple[tuple[Over, ...], list[Point]]:
     """The grid and its jobs. Raises InputError, also where no job has a valid robot."""
     if not 1 <= seeds <= MOST_SEEDS:
         raise InputError(f"--seeds {seeds}: allowed are 1 (the robot's own) to {MOST_SEEDS}")
-    overs = tuple(parse_over(text) for text in over)
+    overs = tuple(over)
     if seeds > 1:
         overs = (*overs, Over("seed", tuple(map(str, range(seeds)))))
     if not overs:
         raise InputError("nothing to sweep: give --over table.key=value,value,... or --seeds of 2 or more")
-    load(robot, overrides)
-    reference, shared = as_reference(robot), portable(overrides)
     points = []
     for places in combinations(overs):
         own = tuple(o.overrides()[k] for o, k in zip(overs, places, strict=True))
         values = {o.key: o.values[k] for o, k in zip(overs, places, strict=True)}
-        job = Job(reference, (*shared, *portable(own)), store.absolute(), "evaluate", command)
+        job = Job(robot.reference, (*robot.overrides, *portable(own)), store.absolute(), "evaluate", command)
         points.append(Point(values, job, _loaded(job, own)))
     bad = next((p.robot for p in points if isinstance(p.robot, InputError)), None)
     if bad is not None and all(isinstance(p.robot, InputError) for p in points):

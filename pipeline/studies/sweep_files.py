@@ -11,14 +11,14 @@ from kincal.pipeline.studies.rows import records
 from kincal.pipeline.studies.sweep import Swept
 
 
-def sweep_json(swept: Swept, table: Path, figure: Path | None) -> dict[str, Any]:
+def sweep_json(swept: Swept, table: Path | None, figure: Path | None) -> dict[str, Any]:
     """The document of `sweep --json`."""
     return {
         "robot": swept.robot,
         "over": {over.key: list(over.values) for over in swept.overs},
         "jobs": swept.n_jobs,
         "failed": len(swept.failures),
-        "table": str(table),
+        "table": None if table is None else str(table),
         "figure": None if figure is None else str(figure),
         "medians": records(medians(swept)),
         "rows": records(swept.table),

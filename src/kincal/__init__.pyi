@@ -1,0 +1,44 @@
+"""The public names of kincal."""
+
+from .pipeline.interface.calibration import Calibration, calibrate
+from .pipeline.interface.campaign import Foresight, Plan, foresee, measure, plan
+from .pipeline.interface.fit import Fit, identify
+from .pipeline.interface.progress import JobEvent
+from .pipeline.interface.robots import load, propose
+from .pipeline.interface.sea import SeaOptions, SeaTrialResult, sea_trial
+from .pipeline.interface.studies import FleetResult, Reproduction, SweepResult, fleet, reproduce, sweep
+from .pipeline.results import Comparison
+from .pipeline.run.runner import Event
+from .urdf.description import Robot
+from .urdf.errors import CalibrationError, InputError
+from .version import __version__
+
+__all__ = [
+    "Calibration",
+    "CalibrationError",
+    "Comparison",
+    "Event",
+    "Fit",
+    "FleetResult",
+    "Foresight",
+    "InputError",
+    "JobEvent",
+    "Plan",
+    "Reproduction",
+    "Robot",
+    "SeaOptions",
+    "SeaTrialResult",
+    "SweepResult",
+    "__version__",
+    "calibrate",
+    "fleet",
+    "foresee",
+    "identify",
+    "load",
+    "measure",
+    "plan",
+    "propose",
+    "reproduce",
+    "sea_trial",
+    "sweep",
+]

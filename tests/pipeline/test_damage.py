@@ -123,14 +123,14 @@ def test_what_was_first_is_freed_before_it_counts(tmp_path, monkeypatch):
     """Between the rename that it refused and the look at what it stored."""
     store = Store(tmp_path / "store")
     first = store.save("plan", 64 * "a", fit(0.0), {})
-    content = artifacts._content
+    content = artifacts.file_content
 
     def freed_first(file):
         if file == first.folder / "manifest.json":
             store.discard(first.folder)
         return content(file)
 
-    monkeypatch.setattr(artifacts, "_content", freed_first)
+    monkeypatch.setattr(artifacts, "file_content", freed_first)
     second = store.save("plan", 64 * "a", fit(1.0), {})
     np.testing.assert_array_equal(store.load(second, Fit).registered, fit(1.0).registered)
 

@@ -13,8 +13,9 @@ from pathlib import Path
 import pytest
 
 from benchmarks.small import QUICK
-from kincal.pipeline.run.executor import Place, WorkerDied, executor, place, threads_per_worker, undisturbed
+from kincal.pipeline.run.executor import Place, executor, place
 from kincal.pipeline.run.fan_out import Failure, Job, Outcome, run_all, run_of
+from kincal.pipeline.run.workers import WorkerDied, threads_per_worker, undisturbed
 from kincal.urdf.description import load_robot
 from kincal.urdf.errors import InputError
 

@@ -19,7 +19,7 @@ from scipy.spatial.transform import Rotation
 from kincal.identification.error_model import BuiltRobot
 from kincal.pipeline.export import export
 from kincal.pipeline.export.document import read_calibration
-from kincal.pipeline.export.export import Calibrated, Exported, export_document, export_folder, identified_robot
+from kincal.pipeline.export.export import Exported, IdentifiedRobot, export_document, export_folder, identified_robot
 from kincal.pipeline.export.urdf import calibrated_urdf, require_urdf
 from kincal.pipeline.run.runner import Run
 from kincal.urdf.closed_chain import load_chain
@@ -45,7 +45,7 @@ class Case:
     """A robot, as identified and as exported."""
 
     run: Run
-    calibrated: Calibrated
+    calibrated: IdentifiedRobot
     folder: Path
     exported: Exported
 

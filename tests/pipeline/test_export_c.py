@@ -11,7 +11,7 @@ from kincal.identification.compiled import find_compiler
 from kincal.identification.measurements import quaternions
 from kincal.pipeline.export import c_code as exported_c
 from kincal.pipeline.export.c_code import export_code
-from kincal.pipeline.interface.queries import shipped
+from kincal.pipeline.run.calibrated import calibrated
 from kincal.urdf.errors import CalibrationError, InputError
 
 NAMES = {"kincal_ups3_s.c", "kincal_ups3_s.h", "kincal_ups3_s_main.c"}
@@ -44,7 +44,7 @@ def test_a_controllers_own_build(session, tmp_path):
     files = [str(tmp_path / "code" / f"kincal_ups3_s{end}.c") for end in ("", "_main")]
     strict = ["-std=c99", "-pedantic", "-Wall", "-Werror", "-O1"]
     subprocess.run(["cc", *strict, *files, "-lm", "-o", str(tmp_path / "program")], check=True, timeout=60)
-    found = shipped(session, "geometric")
+    found = calibrated(session.robot.description, session.until, "geometric")
     method = found.methods()["geometric"]
     readings = session.until("filter")[0].table[list(found.model.chain.actuated_names)].to_numpy(float)
     desired = method.predict(readings)

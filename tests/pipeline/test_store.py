@@ -314,7 +314,7 @@ KILLED = """
 import os, random, signal, sys, time
 from pathlib import Path
 import kincal.pipeline.commands.app
-import casadi, matplotlib.figure, pinocchio, pipeline.report  # so that children start at once
+import casadi, matplotlib.figure, pinocchio, kincal.pipeline.report.page  # so that children start at once
 from kincal.pipeline.store.store import Store
 from kincal.pipeline.run.runner import Run
 from kincal.urdf.description import load_robot

@@ -1,0 +1,219 @@
+"""The commands around one robot's calibration."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from pathlib import Path
+from typing import Annotated
+
+from cyclopts import Parameter
+from rich.text import Text
+
+from kincal.pipeline.commands.console import out, print_json, print_table, short, show_comparison
+from kincal.pipeline.commands.fleet import compare_fleet, run_fleet
+from kincal.pipeline.commands.inspection import show_foresight, show_inspection
+from kincal.pipeline.commands.options import (
+    COMMON,
+    All,
+    Common,
+    Flag,
+    From,
+    Json,
+    JsonInstead,
+    On,
+    Robot,
+    opened,
+)
+from kincal.pipeline.interface.progress import err
+from kincal.urdf.errors import InputError
+
+
+def run(
+    *robots: str,
+    all: All = False,
+    source: From = None,
+    on: On = "1",
+    until: str = "report",
+    force_from: str | None = None,
+    output: Path | None = None,
+    json: Annotated[
+        Json, Parameter(help="One JSON document on stdout: the comparison; of several, the table.")
+    ] = False,
+    common: Common = COMMON,
+) -> None:
+    """Run the staged pipeline, and end with the comparison; of several robots, with the fleet's table.
+
+    Parameters
+    ----------
+    robots
+        Shipped robots' names, paths to robot.toml, or FLEET.toml:UNIT.
+    until
+        The last stage to run.
+    force_from
+        Run this stage and all after it, cached or not.
+    output
+        The folder of fleet.parquet (default: in the store).
+    """
+    if len(robots) != 1 or all or source is not None or on != "1" or output is not None:
+        if force_from is not None:
+            raise InputError("--force-from: allowed with one robot, in this process")
+        run_fleet(robots, all, source, on, until, output, json, common)
+        return
+    calibration = opened(robots[0], common, force_from)
+    last = "evaluate" if until == "report" else until
+    if until == "report":
+        calibration.until("evaluate", "report")
+        page = calibration.report()
+    document = calibration.until(last)
+    if json:
+        print_json(document)
+        return
+    if until != "report":
+        return
+    show_comparison(calibration.comparison)
+    if page.is_file():
+        out.print(Text(f"report: {short(page)}"))
+    else:
+        err.print(Text(f"warning: {page}: can't be written", style="yellow"), soft_wrap=True)
+
+
+def compare(
+    *robots: str,
+    all: All = False,
+    source: From = None,
+    on: On = "1",
+    json: Annotated[
+        Json, Parameter(help="One JSON document on stdout; a list where there are several robots.")
+    ] = False,
+    common: Common = COMMON,
+) -> None:
+    """The methods side by side on the same held-out poses; of several robots, the fleet's table too.
+
+    Parameters
+    ----------
+    robots
+        Shipped robots' names, paths to robot.toml, or FLEET.toml:UNIT.
+    """
+    if len(robots) != 1 or all or source is not None or on != "1":
+        compare_fleet(robots, all, source, on, json, common)
+        return
+    calibration = opened(robots[0], common)
+    if json:
+        print_json(calibration.until("evaluate"))
+    else:
+        show_comparison(calibration.comparison)
+
+
+def inspect(
+    robot: Robot,
+    *,
+    before: Flag = False,
+    plot: Path | None = None,
+    json: Json = False,
+    common: Common = COMMON,
+) -> None:
+    """Every parameter: nominal, identified, change, sigma; what could not be seen, and how sure the rest is.
+
+    Parameters
+    ----------
+    before
+        From the planned poses and the sensors alone, before anybody measures.
+    plot
+        Draw singular values, shares and changes into this .svg, .png or .pdf file.
+    """
+    calibration = opened(robot, common)
+    if before:
+        foresight = calibration.foresight
+        if plot is not None:
+            foresight.plot(plot)
+    else:
+        fit = calibration.fit
+        if plot is not None:
+            fit.plot(plot)
+    if json:
+        document = foresight.to_dict() if before else fit.to_dict()
+        print_json(document | {"provenance": calibration.provenance("plan" if before else "identify")})
+        return
+    if before:
+        show_foresight(foresight)
+    else:
+        show_inspection(fit)
+    if plot is not None:
+        out.print(Text(f"plot: {short(plot.absolute())}"))
+
+
+def status(robot: Robot, *, json: Json = False, common: Common = COMMON) -> None:
+    """Which stages are fresh, which are stale, and what made them so."""
+    from kincal.pipeline.commands.console import show_table
+    from kincal.pipeline.report.tables import Table
+
+    columns = ("stage", "state", "why")
+    rows = opened(robot, common).stages()
+    if json:
+        print_json([dict(zip(columns, row, strict=True)) for row in rows])
+        return
+    show_table(Table(columns, tuple(rows)), align="left")
+
+
+def predict(
+    robot: Robot, *, joints: Path, method: str = "hybrid", json: JsonInstead = False, common: Common = COMMON
+) -> None:
+    """Measured-like poses, with sigma, at given actuator readings; a CSV table on stdout.
+
+    Parameters
+    ----------
+    joints
+        A CSV or Parquet table with one column a joint, as in the measurement table.
+    method
+        One of the methods that `compare` lists.
+    """
+    print_table(opened(robot, common).predict(joints, method=method), json)
+
+
+def compensate(
+    robot: Robot, *, poses: Path, method: str = "hybrid", json: JsonInstead = False, common: Common = COMMON
+) -> None:
+    """Joint commands that reach the given poses; a CSV table on stdout.
+
+    Parameters
+    ----------
+    poses
+        A CSV or Parquet table of desired poses in the measurement frame: the columns of a measurement table.
+    method
+        One of the methods that `compare` lists.
+    """
+    commands = opened(robot, common).compensate(poses, method=method, strict=True)
+    print_table(commands.drop(columns=["reached", "obstacle"]), json)
+
+
+def evaluate(
+    robot: Robot,
+    *,
+    data: Path,
+    columns: Path | None = None,
+    register: Flag = False,
+    rehome: Flag = False,
+    json: Json = False,
+    common: Common = COMMON,
+) -> None:
+    """The methods against a measurement table that no stage has seen.
+
+    Parameters
+    ----------
+    data
+        The measurement table, CSV or Parquet.
+    columns
+        A TOML file with a column map of its own, as [measure.columns] has it.
+    register
+        First refit W alone: the instrument was set up anew.
+    rehome
+        First refit the actuator zeros: the robot was homed anew.
+    """
+    calibration = opened(robot, common)
+    comparison = calibration.evaluation(data, register=register, rehome=rehome, columns=columns)
+    if not json:
+        show_comparison(comparison)
+        return
+    files = {"data": data} | ({"columns": columns} if columns else {})
+    provenance = calibration.provenance("identify", "transfer", "correct", files=files)
+    print_json(asdict(comparison) | {"provenance": provenance})

@@ -1,0 +1,69 @@
+"""A calibrated robot: what was identified and learned from all measured poses, and the tables that it reads."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+
+from kincal.identification.error_model import ErrorModel
+from kincal.identification.measurements import Measurements, canonical_table, check_readings, to_measurements
+from kincal.pipeline.methods.predictors import METHODS, Method, build
+from kincal.pipeline.results import Corrected, Identified, Learned
+from kincal.urdf.description import Measure, RobotDescription, nearest
+from kincal.urdf.errors import InputError
+
+
+@dataclass(frozen=True)
+class Calibrated:
+    """A robot with what was identified and learned from all measured poses."""
+
+    description: RobotDescription
+    model: ErrorModel
+    identified: Identified
+    learned: Learned | None  # None: nobody asked for the networks
+    corrected: Corrected | None
+
+    @property
+    def channels(self) -> tuple[str, ...]:
+        return self.identified.shipped.channels
+
+    def methods(self) -> Mapping[str, Method]:
+        return build(self.model, self.identified.fits()[0], self.learned, self.corrected, self.channels)
+
+    def table(self, raw: pd.DataFrame, source: Path | str, settings: Measure, measured: bool) -> pd.DataFrame:
+        """A table as somebody brought it -> the canonical one, its readings checked. Raises InputError."""
+        chain = self.model.chain
+        table = canonical_table(raw, chain.actuated_names, settings, source, measured)
+        check_readings(table, chain, self.model.actuators, self.description.tolerance, source)
+        return table
+
+    def readings(self, raw: pd.DataFrame, source: Path | str) -> tuple[np.ndarray, np.ndarray]:
+        """The poses' numbers (n,) and the actuators' readings (n, n_actuated) of a table. Raises InputError."""
+        names = self.model.chain.actuated_names
+        table = self.table(raw, source, self.description.measure.of_columns(("pose", *names)), measured=False)
+        return table["pose"].to_numpy(), table[list(names)].to_numpy(float)
+
+    def measurements(self, raw: pd.DataFrame, source: Path | str, settings: Measure) -> Measurements:
+        """A table of measured poses. Raises InputError."""
+        table = self.table(raw, source, settings, measured=True)
+        return to_measurements(table, self.model.chain.actuated_names, self.description.sensor)
+
+
+def check_method(method: str) -> None:
+    """Raises InputError where there is no such method."""
+    if method not in METHODS:
+        raise InputError(f"--method {method}: no such method; {nearest(method, METHODS)}")
+
+
+@contextmanager
+def naming(source: Path | str) -> Iterator[None]:
+    """An InputError about the rows of a table names the table."""
+    try:
+        yield
+    except InputError as error:
+        raise error if str(source) in str(error) else InputError(f"{source}: {error}") from None

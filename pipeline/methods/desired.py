@@ -1,0 +1,75 @@
+"""Desired poses, and the commands that reach them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+
+from kincal.identification.channels import parts
+from kincal.identification.measurements import canonical_table, to_measurements
+from kincal.pipeline.methods.calibrated import Calibrated
+from kincal.pipeline.methods.commands import attempt, obstacles
+from kincal.pipeline.methods.goal import Goal
+from kincal.urdf.errors import InputError
+from kincal.urdf.rigid_motion import Motion
+from kincal.urdf.workspace import AXES
+
+
+@dataclass(frozen=True)
+class Commands:
+    """What reaches desired poses."""
+
+    poses: np.ndarray  # (n,) their numbers
+    readings: np.ndarray  # (n, n_actuated)
+    obstacles: tuple[str, ...]  # (n,) why a pose can't be reached; empty where it can
+
+    def check(self) -> None:
+        """Raises InputError that names the first pose that can't be reached."""
+        for number, obstacle in zip(self.poses, self.obstacles, strict=True):
+            if obstacle:
+                raise InputError(f"pose {number}{obstacle}")
+
+
+def commands_of(calibrated: Calibrated, method: str, raw: pd.DataFrame, source: Path | str) -> Commands:
+    """The actuators' readings that reach the poses of a table (a measurement table without joints). Raises InputError.
+
+    Whether a pose can be reached is a matter of each row; see `Commands`.
+    """
+    model, description = calibrated.model, calibrated.description
+    table = canonical_table(raw, (), description.measure.model_copy(update={"columns": {}}), source)
+    desired, known, numbers = _desired(table, calibrated, source)
+    tried = attempt(calibrated.methods()[method], desired, model.chain, model.actuators, known)
+    return Commands(numbers, tried.readings, obstacles(tried, model.chain, description.workspace))
+
+
+def _desired(
+    table: pd.DataFrame, calibrated: Calibrated, source: Path | str
+) -> tuple[Motion, tuple[str, ...], np.ndarray]:
+    """Desired poses, the parts of them that are known, and their numbers.
+
+    Known is what the file says of what was measured. Where that leaves the tool something to choose, the rest of what
+    was measured counts, too: there and in all else the file does not say, the poses are as at home.
+    """
+    wanted = to_measurements(table, (), calibrated.description.sensor)
+    model, identified = calibrated.model, calibrated.identified
+    axes = model.chain.tool_axes
+    if any(a < 3 for a in axes) and wanted.position is None:
+        raise InputError(f"{source}: the tool moves along {[AXES[a] for a in axes if a < 3]}: x, y, z are needed")
+    if any(a >= 3 for a in axes) and wanted.orientation is None and wanted.tilt is None:
+        raise InputError(f"{source}: the tool turns: qx, qy, qz, qw or roll, pitch (and yaw) are needed")
+    robot = model.robot(identified.shipped.change)
+    home = robot.measured(model.chain.home_pose)
+    pose = wanted.as_poses()
+    if wanted.orientation is None and wanted.tilt is None:
+        pose = Motion(np.broadcast_to(home.rotation, pose.rotation.shape), pose.translation)
+    elif wanted.orientation is None and wanted.yaw is None:
+        yaw = np.full(len(wanted), np.arctan2(home.rotation[1, 0], home.rotation[0, 0]))
+        pose = replace(wanted, yaw=yaw).as_poses()
+    if wanted.position is None:
+        pose = Motion(pose.rotation, np.broadcast_to(home.translation, pose.translation.shape))
+    measured = identified.shipped.channels
+    known = tuple(sorted(parts(wanted.channels) & parts(measured)))
+    return pose, known if Goal.of(robot, pose, known).decided() else measured, wanted.pose
