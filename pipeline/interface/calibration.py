@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, Literal, overload
 
 from kincal.pipeline.interface.campaign import Foresight
 from kincal.pipeline.interface.data import Data, Readings, raw_readings, raw_table, score_frame
-from kincal.pipeline.interface.fit import Fit
+from kincal.pipeline.interface.fit import Fit, measured_table
 from kincal.pipeline.interface.progress import StageObserver
 from kincal.pipeline.interface.robots import RobotLike, robot_of
 from kincal.pipeline.interface.sessions import opened
@@ -82,7 +82,7 @@ class Calibration:
         if data is None or isinstance(data, str | PathLike):
             settings = {} if data is None else {"measure.table": Path(data)}
             return cls(opened(robot_of(robot, settings), store, progress, command, force_from))
-        return cls(_measured_by(data, robot_of(robot), opened(robot, store, progress, command, force_from)))
+        return cls(_measured_by(data, opened(robot, store, progress, command, force_from)))
 
     @property
     def robot(self) -> Robot:
@@ -496,19 +496,16 @@ def calibrate(
     return calibration
 
 
-def _measured_by(data: Data, robot: Robot, session: Run) -> Run:
+def _measured_by(data: Data, session: Run) -> Run:
     """The same session with a table that came as a value. Raises InputError.
 
     The table is kept in the store, so that a cached result can be traced to it and found again.
     """
-    from kincal.identification.measurements import canonical_table
-
-    measure = robot.description.measure
-    raw, source = raw_table(data, measure, "data")
-    table = canonical_table(raw, robot.description.actuated, measure, source)
+    (model,) = session.until("model")
+    table = measured_table(session.robot, model, data).table
     content: bytes = table.to_parquet(index=False)
     file, held = session.store.add_table(content)
     weakref.finalize(session, os.close, held)
     settings = (f"measure.table={json.dumps(str(file))}", 'measure.source="files"', "measure.columns={}")
-    session.robot = robot_of(robot, settings)
+    session.robot = robot_of(session.robot, settings)
     return session

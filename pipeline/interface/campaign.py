@@ -105,8 +105,8 @@ class Foresight:
     --------
     >>> import kincal
     >>> foresight = kincal.foresee(kincal.load("ups3_s", {"plan.poses": 20}))
-    >>> foresight.parameters.loc["leg1_slide.zero", "std"] > 0
-    True
+    >>> foresight.parameters.loc["leg1_slide.zero", "unit"]
+    'm'
     """
 
     robot: Robot

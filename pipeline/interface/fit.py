@@ -35,8 +35,8 @@ class Fit:
     --------
     >>> import kincal
     >>> fit = kincal.identify(kincal.load("ups3_s", {"plan.poses": 20}))
-    >>> float(fit.parameters.loc["tool.rz", "change"]) != 0
-    True
+    >>> fit.parameters.loc["leg1_slide.zero", "unit"]
+    'm'
     """
 
     robot: Robot
@@ -156,10 +156,11 @@ def identify(robot: RobotLike, data: Data | None = None, *, progress: StageObser
 
     robot = robot_of(robot)
     description = robot.description
-    run = InMemory(description, observe=stage_observer(progress, description.name))
+    observe = stage_observer(progress, description.name)
+    run = InMemory(description, observe=observe)
     model = run.result("model")
     if data is not None:
-        run = InMemory(description, {"model": model, "measure": measured_table(robot, model, data)})
+        run = InMemory(description, {"model": model, "measure": measured_table(robot, model, data)}, observe)
     errors = error_model(model, description.tolerance, description.actuator)
     poses = used_poses(run.result("filter"), errors, description.sensor, description.split, description.seed)
     with fixed_threads(("scipy",)):

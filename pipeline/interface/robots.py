@@ -78,7 +78,7 @@ def propose(drawing: str | PathLike[str], output: str | PathLike[str] | None = N
     >>> import kincal
     >>> kincal.propose("no_such_robot.urdf")
     Traceback (most recent call last):
-    kincal.urdf.errors.InputError: no_such_robot.urdf: no such file
+    kincal.urdf.errors.InputError: no_such_robot.urdf: can't be read: No such file or directory
     """
     from kincal.urdf.proposed_toml import write_proposal
 

@@ -11,6 +11,7 @@ from kincal.pipeline.methods.predictors import Method
 from kincal.urdf.actuators import Actuators
 from kincal.urdf.closed_chain import ClosedChain
 from kincal.urdf.description import Workspace
+from kincal.urdf.errors import InputError
 from kincal.urdf.kinematics import Closure, forward
 from kincal.urdf.rigid_motion import Motion
 from kincal.urdf.workspace import beyond_limits, condition_numbers
@@ -43,7 +44,36 @@ def attempt(
     return Attempt(readings, reached, closure, condition_numbers(chain, closure.q))
 
 
-def obstacles(tried: Attempt, chain: ClosedChain, workspace: Workspace) -> tuple[str, ...]:
+@dataclass(frozen=True)
+class Commands:
+    """What reaches desired poses."""
+
+    poses: np.ndarray  # (n,) their numbers
+    readings: np.ndarray  # (n, n_actuated)
+    obstacles: tuple[str, ...]  # (n,) why a pose can't be reached; empty where it can
+
+    def check(self) -> None:
+        """Raises InputError that names the first pose that can't be reached."""
+        for number, obstacle in zip(self.poses, self.obstacles, strict=True):
+            if obstacle:
+                raise InputError(f"pose {number}{obstacle}")
+
+
+def commands(
+    method: Method,
+    desired: Motion,
+    chain: ClosedChain,
+    actuators: Actuators,
+    workspace: Workspace,
+    poses: np.ndarray,
+    channels: tuple[str, ...] = WHOLE,
+) -> Commands:
+    """Readings that reach desired poses (n), numbered `poses` (n,), as far as they can be reached."""
+    tried = attempt(method, desired, chain, actuators, channels)
+    return Commands(poses, tried.readings, _obstacles(tried, chain, workspace))
+
+
+def _obstacles(tried: Attempt, chain: ClosedChain, workspace: Workspace) -> tuple[str, ...]:
     """(n,) what stands in the way of each command, to be said after the pose's number; empty where nothing does."""
     found = np.full(len(tried.readings), "", dtype=object)
     # what matters most comes last

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,26 +11,11 @@ import pandas as pd
 from kincal.identification.channels import parts
 from kincal.identification.measurements import canonical_table, to_measurements
 from kincal.pipeline.methods.calibrated import Calibrated
-from kincal.pipeline.methods.commands import attempt, obstacles
+from kincal.pipeline.methods.commands import Commands, commands
 from kincal.pipeline.methods.goal import Goal
 from kincal.urdf.errors import InputError
 from kincal.urdf.rigid_motion import Motion
 from kincal.urdf.workspace import AXES
-
-
-@dataclass(frozen=True)
-class Commands:
-    """What reaches desired poses."""
-
-    poses: np.ndarray  # (n,) their numbers
-    readings: np.ndarray  # (n, n_actuated)
-    obstacles: tuple[str, ...]  # (n,) why a pose can't be reached; empty where it can
-
-    def check(self) -> None:
-        """Raises InputError that names the first pose that can't be reached."""
-        for number, obstacle in zip(self.poses, self.obstacles, strict=True):
-            if obstacle:
-                raise InputError(f"pose {number}{obstacle}")
 
 
 def commands_of(calibrated: Calibrated, method: str, raw: pd.DataFrame, source: Path | str) -> Commands:
@@ -41,8 +26,8 @@ def commands_of(calibrated: Calibrated, method: str, raw: pd.DataFrame, source: 
     model, description = calibrated.model, calibrated.description
     table = canonical_table(raw, (), description.measure.model_copy(update={"columns": {}}), source)
     desired, known, numbers = _desired(table, calibrated, source)
-    tried = attempt(calibrated.methods()[method], desired, model.chain, model.actuators, known)
-    return Commands(numbers, tried.readings, obstacles(tried, model.chain, description.workspace))
+    chosen = calibrated.methods()[method]
+    return commands(chosen, desired, model.chain, model.actuators, description.workspace, numbers, known)
 
 
 def _desired(

@@ -1,7 +1,8 @@
 """What a stage's code is, from syntax trees alone: nothing is imported, comments and docstrings don't count.
 
 A stage's fingerprint is the function, what it names in its own module, and the transitive import closure of the
-project's modules that it names, whole modules each: methods, dispatch tables and constants count.
+project's modules that it names, whole modules each: methods, dispatch tables and constants count. A package whose
+`__init__.py` has no code is no unit.
 """
 
 from __future__ import annotations
@@ -49,7 +50,7 @@ class Code:
             if name not in found:
                 found[name], imports = self._of(name, whole=True)[_WHOLE]
                 queue += imports
-        return dict(sorted(found.items()))
+        return {name: digest for name, digest in sorted(found.items()) if digest != _NO_CODE}
 
     def edited(self, module: str, function: str) -> str | None:
         """A module that the function names and that was edited after it had been digested: other code may have run.
@@ -85,6 +86,9 @@ class Code:
         if file.parent not in self._templates:
             self._templates[file.parent] = sorted((file.parent / "templates").glob("*"))
         return [t for t in self._templates[file.parent] if t.name.startswith(f"{file.stem}.")]
+
+
+_NO_CODE = hashlib.sha256(ast.dump(ast.parse("")).encode()).hexdigest()  # of a package that is a docstring
 
 
 def _whole(source: bytes, extra: bytes, root: Path) -> Facts:

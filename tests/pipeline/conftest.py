@@ -49,6 +49,8 @@ ROBOT_COMMANDS = (
 def _complete(arguments) -> list[str]:
     """The command line, with the settings above; its own come last, and win."""
     command, *given = (str(a) for a in arguments)
+    if command == "cache":
+        return [command, *_complete(given)]
     if command not in ROBOT_COMMANDS or "--help" in given:
         return [command, *given]
     return [command, *(part for setting in SMALL for part in ("--set", setting)), *given]

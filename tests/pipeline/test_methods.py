@@ -365,7 +365,9 @@ def command(loaded, angles_deg, max_condition: float = 100.0, correction=None) -
         method = HybridMethod(method, robot, correction)
     workspace = loaded.description.workspace.model_copy(update={"max_condition": max_condition})
     numbers = 10 * np.arange(1, len(u) + 1)
-    return commands(method, pose_at(loaded.chain, u), loaded.chain, model.actuators, workspace, numbers)
+    found = commands(method, pose_at(loaded.chain, u), loaded.chain, model.actuators, workspace, numbers)
+    found.check()
+    return found.readings
 
 
 def refused(loaded, pose_deg, *said: str, **options) -> None:

@@ -105,6 +105,27 @@ def test_changed_code_is_named(kincal, start, store, tmp_path, copy_project):
     }
 
 
+def test_what_people_see_may_change_without_another_identification(kincal, tmp_path, copy_project, finished):
+    """A page's template, a command and the interface are edited: nothing but the report runs again."""
+    root = copy_project(tmp_path / "project")
+    robot = root / "kincal" / "urdf" / "robots" / "ups3_s"
+    flags = [part for text in finished.settings for part in ("--set", text)]
+    assert kincal("run", robot, *flags, root=root).status == 0
+    package = root / "kincal" / "pipeline"
+    for file, text in (
+        (package / "report" / "templates" / "page.html", "<!-- another line -->"),
+        (package / "commands" / "calibration.py", "\n_CHANGED = 1\n"),
+        (package / "interface" / "calibration.py", "\n_CHANGED = 1\n"),
+        (root / "kincal" / "__init__.pyi", "\nfrom .version import __version__\n"),
+    ):
+        file.write_text(file.read_text() + text)
+    rows = json.loads(kincal("status", robot, *flags, "--json", root=root).out)
+    assert {row["stage"]: row["state"] for row in rows if row["state"] != "fresh"} == {"report": "stale"}
+    again = kincal("run", robot, *flags, root=root)
+    assert again.status == 0, again.err
+    assert [line.split()[1] for line in again.err.splitlines() if " ran " in line] == ["report"]
+
+
 def test_status_changes_nothing(start, store):
     before = {f: f.stat().st_mtime_ns for f in store.rglob("*")}
     rows(start(store, "plan.poses=13")[0])

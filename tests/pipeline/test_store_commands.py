@@ -40,15 +40,15 @@ def test_gc_keeps_what_a_robot_used_last_and_frees_the_rest(cli, start, store, s
     start(store, "plan.poses=12")[0].until("report")
     (other,) = artifacts(store) - used
     bytes_of = sum(f.stat().st_size for f in (store / other).iterdir())
-    dry = json.loads(cli("gc", "--store", store, "--dry-run", "--json").out)
+    dry = json.loads(cli("cache", "gc", "--store", store, "--dry-run", "--json").out)
     assert artifacts(store) == used | {other}
-    said = json.loads(cli("gc", "--store", store, "--json").out)
+    said = json.loads(cli("cache", "gc", "--store", store, "--json").out)
     assert {**said, "dry_run": True} == dry
     assert said["freed"]["artifact"] == {"count": 1, "bytes": bytes_of}
     assert artifacts(store) == used
     assert not list((store / "locks").iterdir())
     still_served(store)
-    assert cli("gc", "--store", store).out == "freed 0 (nothing), 0 bytes\n"
+    assert cli("cache", "gc", "--store", store).out == "freed 0 (nothing), 0 bytes\n"
     rows = {stage: why for stage, _, why in start(store, "plan.poses=13")[0].status()}
     assert rows["plan"] == "setting plan.poses 12 -> 13; an earlier result of these was freed by `kincal gc`"
 
@@ -98,11 +98,11 @@ def test_gc_keeps_robots_whose_file_has_gone_until_it_is_told(cli, start, store,
     run.until("measure")
     theirs, folder = artifacts(store), store / "robots" / run.robot_id
     shutil.rmtree(robot_folder)
-    answer = cli("gc", "--store", store)
+    answer = cli("cache", "gc", "--store", store)
     assert answer.status == 0
     assert f"{robot_folder / 'robot.toml'} is not there any more; kept" in answer.err
     assert artifacts(store) == theirs
-    assert cli("gc", "--store", store, "--gone").status == 0
+    assert cli("cache", "gc", "--store", store, "--gone").status == 0
     assert not folder.exists()
     assert len(theirs - artifacts(store)) == 2  # plan and measure; the model is that of the other robot, too
 
@@ -130,7 +130,7 @@ def test_gc_frees_nothing_where_notes_can_not_be_read(cli, store):
     before = artifacts(store)
     (store / "robots").rename(store / "elsewhere")
     (store / "robots").symlink_to("robots")  # for root, too, a folder that can't be listed
-    answer = cli("gc", "--store", store)
+    answer = cli("cache", "gc", "--store", store)
     assert (answer.status, answer.err.count("\n")) == (2, 1)
     assert f"{store / 'robots'}: " in answer.err
     assert artifacts(store) == before
@@ -141,7 +141,7 @@ def test_gc_leaves_what_is_not_of_kincal(cli, tmp_path):
     for file in files:
         file.parent.mkdir(parents=True)
         file.touch()
-    assert cli("gc", "--store", tmp_path / "yard").out == "freed 0 (nothing), 0 bytes\n"
+    assert cli("cache", "gc", "--store", tmp_path / "yard").out == "freed 0 (nothing), 0 bytes\n"
     assert all(file.exists() for file in files)
 
 
@@ -259,14 +259,14 @@ def test_accept_takes_code_alone(session, store, robot_folder, start, monkeypatc
 
 
 def test_accept_from_the_command_line(cli, kincal, refactored, store):
-    assert cli("accept", "ups3_s", "--stage", "evaluatee", "--store", store).status == 2
+    assert cli("cache", "accept", "ups3_s", "--stage", "evaluatee", "--store", store).status == 2
     robot = refactored / "kincal" / "urdf" / "robots" / "ups3_s"
-    answer = kincal("accept", robot, *POSES, "--store", store, "--json", root=refactored)
+    answer = kincal("cache", "accept", robot, *POSES, "--store", store, "--json", root=refactored)
     assert (answer.status, answer.out) == (0, "[]\n")  # of another folder: it never ran
 
 
 def test_accept_where_nothing_has_changed(cli, store):
-    answer = cli("accept", "ups3_s", *POSES, "--store", store)
+    answer = cli("cache", "accept", "ups3_s", *POSES, "--store", store)
     assert (answer.status, answer.out) == (0, "nothing to accept: no stage's code has changed\n")
 
 
@@ -274,7 +274,7 @@ def test_accept_where_nothing_has_changed(cli, store):
 
 
 def verified(cli, store: Path) -> tuple[int, dict]:
-    answer = cli("verify", "ups3_s", *POSES, "--store", store, "--json")
+    answer = cli("cache", "verify", "ups3_s", *POSES, "--store", store, "--json")
     return answer.status, json.loads(answer.out)
 
 
@@ -325,7 +325,7 @@ def test_verify_a_chain_that_does_not_fit(cli, start, store):
 
 
 def test_verify_before_the_first_run(cli, tmp_path):
-    answer = cli("verify", "ups3_s", "--store", tmp_path / "none")
+    answer = cli("cache", "verify", "ups3_s", "--store", tmp_path / "none")
     assert answer.status == 2
     assert "it never ran" in answer.err
 
