@@ -82,7 +82,7 @@ class Stream:
         far = np.abs(chunk.to_numpy(float)) >= _FARTHEST
         if far.any():
             chunk = chunk.mask(far)
-        good = np.isfinite(chunk[list(REQUIRED)].to_numpy(float)).all(axis=1)
+        good = np.all(np.isfinite(chunk[list(REQUIRED)].to_numpy(float)), axis=1)
         self._tally.not_finite += int((~good).sum())
         return chunk.iloc[good]
 

@@ -82,7 +82,7 @@ def _csv(file: Path, measure: Measure, names: list[str], wanted: list[str], tall
 
 def _with_points(found: pd.DataFrame) -> pd.DataFrame:
     """Columns that one cell made text, with decimal points: only pandas' parser of whole columns knows commas."""
-    text = [name for name in found if not pd.api.types.is_numeric_dtype(found[name])]
+    text = [str(name) for name in found if not pd.api.types.is_numeric_dtype(found[name])]
     return found.assign(**{name: found[name].str.replace(",", ".", regex=False) for name in text})
 
 

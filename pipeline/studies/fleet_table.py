@@ -51,8 +51,7 @@ def fleet_table(came: Carried) -> pd.DataFrame:
             rows += [own | row | known[k] for row in method_rows(outcome.comparison)]
     texts = ("robot", "reference", "method", "scored_on")
     kinds = dict.fromkeys(texts, "string") | {"n_poses": "Int64"} | dict.fromkeys(METHOD_NUMBERS, "Float64") | _FAMILY
-    types = {name: pd.api.types.pandas_dtype(kind) for name, kind in kinds.items()}
-    return pd.DataFrame({name: pd.array([r.get(name) for r in rows], dtype=kind) for name, kind in types.items()})
+    return pd.DataFrame({name: pd.Series([r.get(name) for r in rows], dtype=kind) for name, kind in kinds.items()})
 
 
 def _families(came: Carried) -> dict[int, dict[str, Any]]:
