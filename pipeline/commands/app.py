@@ -11,8 +11,6 @@ from typing import Any
 from cyclopts import App, CycloptsError
 from rich.text import Text
 
-from kincal.pipeline.commands import cache, calibration, plan, sea, studies
-from kincal.pipeline.commands.export import export
 from kincal.pipeline.interface.progress import err
 from kincal.urdf.errors import CalibrationError, InputError, of_system, one_line
 from kincal.version import __version__
@@ -25,25 +23,20 @@ app = App(
     version_flags=["--version"],
     suppress_keyboard_interrupt=False,  # main says so
 )
-for _command in (
-    calibration.run,
-    calibration.compare,
-    calibration.inspect,
-    calibration.status,
-    calibration.predict,
-    calibration.compensate,
-    calibration.evaluate,
-    plan.init,
-    plan.plan,
-    export,
-    studies.sweep,
-    studies.reproduce,
-    sea.sea_trial,
-    cache.app,
-):
-    app.command(_command)
-for _name in ("gc", "accept", "verify"):
-    app.command(cache.moved(_name), name=_name, show=False)
+# Each command's module is imported when the command is called, or its help is asked for.
+_COMMANDS = {
+    "calibration": ("run", "compare", "inspect", "status", "predict", "compensate", "evaluate"),
+    "plan": ("init", "plan"),
+    "export": ("export",),
+    "studies": ("sweep", "reproduce"),
+    "sea": ("sea_trial",),
+}
+for _module, _names in _COMMANDS.items():
+    for _name in _names:
+        app.command(f"kincal.pipeline.commands.{_module}:{_name}", name=_name.replace("_", "-"))
+app.command("kincal.pipeline.commands.cache:app", name="cache")
+for _name in ("gc", "accept", "verify"):  # as they were called once
+    app.command(f"kincal.pipeline.commands.cache:moved_{_name}", name=_name, show=False)
 
 
 class _Warnings(logging.Handler):
@@ -55,6 +48,10 @@ class _Warnings(logging.Handler):
 
 def main(arguments: list[str] | None = None) -> None:
     """Run the command and exit: 0 done, 1 the calibration failed its own checks, 2 bad input."""
+    given = sys.argv[1:] if arguments is None else arguments
+    if not given or given[0] in ("--help", "-h"):  # the list of commands shows what each of them says of itself
+        for name in (*(name for names in _COMMANDS.values() for name in names), "cache"):
+            app[name.replace("_", "-")]
     warnings = _Warnings(logging.WARNING)
     logger = logging.getLogger("kincal")
     logger.addHandler(warnings)

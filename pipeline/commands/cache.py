@@ -17,7 +17,7 @@ from kincal.urdf.errors import CalibrationError, InputError
 app = App(name="cache", help="Free, accept or verify cached results.", help_format="plaintext", version_flags=[])
 
 
-def moved(name: str) -> Callable[..., None]:
+def _moved(name: str) -> Callable[..., None]:
     """A command under its old name: one line that names the new one."""
 
     def old(*arguments: Annotated[Any, Parameter(allow_leading_hyphen=True)]) -> None:
@@ -25,6 +25,9 @@ def moved(name: str) -> Callable[..., None]:
 
     old.__doc__ = f"Now: kincal cache {name}."
     return old
+
+
+moved_gc, moved_accept, moved_verify = map(_moved, ("gc", "accept", "verify"))
 
 
 @app.command

@@ -11,7 +11,6 @@ from rich.text import Text
 
 from kincal.pipeline.commands.console import out, print_json, print_table, short, show_comparison
 from kincal.pipeline.commands.fleet import compare_fleet, run_fleet
-from kincal.pipeline.commands.inspection import show_foresight, show_inspection
 from kincal.pipeline.commands.options import (
     COMMON,
     All,
@@ -64,11 +63,11 @@ def run(
     if until == "report":
         calibration.until("evaluate", "report")
         page = calibration.report()
-    document = calibration.until(last)
     if json:
-        print_json(document)
+        print_json(calibration.document(last))
         return
     if until != "report":
+        calibration.until(until)
         return
     show_comparison(calibration.comparison)
     if page.is_file():
@@ -99,7 +98,7 @@ def compare(
         return
     calibration = opened(robots[0], common)
     if json:
-        print_json(calibration.until("evaluate"))
+        print_json(calibration.document())
     else:
         show_comparison(calibration.comparison)
 
@@ -121,6 +120,8 @@ def inspect(
     plot
         Draw singular values, shares and changes into this .svg, .png or .pdf file.
     """
+    from kincal.pipeline.commands.inspection import show_foresight, show_inspection
+
     calibration = opened(robot, common)
     if before:
         foresight = calibration.foresight

@@ -25,6 +25,8 @@ if TYPE_CHECKING:
 
     from kincal.pipeline.export.c_code import ExportedCode
     from kincal.pipeline.export.export import Exported
+    from kincal.pipeline.interface.campaign import Foresight
+    from kincal.pipeline.interface.fit import Fit
     from kincal.pipeline.methods.calibrated import Calibrated
     from kincal.pipeline.results import Comparison
     from kincal.pipeline.run.runner import Run
@@ -97,11 +99,14 @@ class Calibration:
     @property
     def fit(self) -> Fit:
         """The identified geometry."""
+        from kincal.pipeline.interface.fit import Fit
+
         return Fit(self.robot, self._until("identify")[0].shipped)
 
     @property
     def foresight(self) -> Foresight:
         """What the planned poses will show, before anybody measures."""
+        from kincal.pipeline.interface.campaign import Foresight
         from kincal.pipeline.planning.foresight import foresee
 
         model, plan = self._until("model", "plan")
@@ -379,18 +384,13 @@ class Calibration:
             replace_file(file, published(report.html, self._session.entries))
         return file
 
-    def until(self, *stages: str) -> dict[str, Any]:
+    def until(self, *stages: str) -> None:
         """Bring stages and all that they rest on up to date.
 
         Parameters
         ----------
         stages
             Their names: `status` lists them.
-
-        Returns
-        -------
-        dict
-            The document of `kincal run --until STAGE --json` for the last one, with the provenance of its result.
 
         Raises
         ------
@@ -399,11 +399,19 @@ class Calibration:
         """
         from kincal.pipeline.run.stage import needed
 
-        force_from, stage = self._session.force_from, stages[-1]
-        if force_from is not None and force_from not in (needed_stage.name for needed_stage in needed(stage)):
-            raise InputError(f"--force-from {force_from}: --until {stage} does not need that stage")
-        *_, value = self._until(*stages)
-        document = asdict(value) if stage == "evaluate" else {"robot": self.robot.description.name, "stage": stage}
+        force_from, last = self._session.force_from, stages[-1]
+        if force_from is not None and force_from not in (stage.name for stage in needed(last)):
+            raise InputError(f"--force-from {force_from}: --until {last} does not need that stage")
+        self._until(*stages)
+
+    def document(self, stage: str = "evaluate") -> dict[str, Any]:
+        """The document of `kincal run --until STAGE --json`: the comparison where the stage is `evaluate`.
+
+        Raises InputError and CalibrationError as `until`.
+        """
+        self.until(stage)
+        name = self.robot.description.name
+        document = asdict(self.comparison) if stage == "evaluate" else {"robot": name, "stage": stage}
         return document | {"provenance": self.provenance(stage)}
 
     def provenance(self, *stages: str, files: Mapping[str, Path] | None = None) -> dict[str, Any]:
@@ -501,6 +509,7 @@ def _measured_by(data: Data, session: Run) -> Run:
 
     The table is kept in the store, so that a cached result can be traced to it and found again.
     """
+
     (model,) = session.until("model")
     table = measured_table(session.robot, model, data).table
     content: bytes = table.to_parquet(index=False)

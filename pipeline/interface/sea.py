@@ -7,11 +7,9 @@ from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from kincal.pipeline.interface.progress import StageObserver
-from kincal.pipeline.interface.robots import RobotLike
-from kincal.pipeline.interface.sessions import opened
-
 if TYPE_CHECKING:
+    from kincal.pipeline.interface.progress import StageObserver
+    from kincal.pipeline.interface.robots import RobotLike
     from kincal.pipeline.report.tables import Table
     from kincal.pipeline.sea.voyage import Found
 
@@ -131,6 +129,7 @@ def sea_trial(
     Traceback (most recent call last):
     kincal.urdf.errors.InputError: sea-trial: sea_state: found 9; input should be 3, 4, 5 or 6
     """
+    from kincal.pipeline.interface.sessions import opened
     from kincal.pipeline.sea.settings import Seaway
     from kincal.pipeline.sea.trial import Trial
     from kincal.pipeline.sea.voyage import sail

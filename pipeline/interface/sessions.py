@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import shutil
-import tempfile
 import weakref
 from os import PathLike
 from pathlib import Path
@@ -40,4 +39,6 @@ def opened(
 
 
 def temporary_folder() -> Path:
+    import tempfile
+
     return Path(tempfile.mkdtemp(prefix="kincal-"))

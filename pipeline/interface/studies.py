@@ -10,7 +10,7 @@ from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
 
-from kincal.pipeline.interface.progress import JobObserver, job_observer
+from kincal.pipeline.interface.job_progress import JobObserver, job_observer
 from kincal.pipeline.interface.robots import RobotLike, Settings, overrides_of, robot_of
 from kincal.pipeline.interface.sessions import opened, temporary_folder
 from kincal.urdf.errors import InputError

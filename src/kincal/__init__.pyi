@@ -3,7 +3,7 @@
 from .pipeline.interface.calibration import Calibration, calibrate
 from .pipeline.interface.campaign import Foresight, Plan, foresee, measure, plan
 from .pipeline.interface.fit import Fit, identify
-from .pipeline.interface.progress import JobEvent
+from .pipeline.interface.job_progress import JobEvent
 from .pipeline.interface.robots import load, propose
 from .pipeline.interface.sea import SeaOptions, SeaTrialResult, sea_trial
 from .pipeline.interface.studies import FleetResult, Reproduction, SweepResult, fleet, reproduce, sweep
