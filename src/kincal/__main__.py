@@ -1,7 +1,6 @@
 """The command `kincal`; also `python -m kincal`."""
 
 import os
-import sys
 
 # The matrices are small: more threads do not make them faster, but the last bits of a sum depend on their number.
 # The libraries read these variables when they are imported, so they are set before anything else is.
@@ -14,7 +13,7 @@ def main() -> None:
         os.environ.setdefault(name, "1")
     from kincal.pipeline.commands.app import main as run
 
-    sys.exit(run())
+    run()
 
 
 if __name__ == "__main__":
