@@ -2,7 +2,7 @@
 PYTHON ?= python3
 BIN := .venv/bin
 
-.PHONY: run test install bench damage fuzz lint clean
+.PHONY: run test install bench damage fuzz lint package clean
 run: .venv/installed
 	$(BIN)/kincal run ups3_s
 
@@ -22,11 +22,15 @@ damage: .venv/installed
 fuzz: .venv/installed
 	$(BIN)/python -m tests.fuzz --cases 20000 --commands 60
 
+# Formats, style, arrows between modules, types: every source file once.
 lint: .venv/installed
-	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
-	$(BIN)/lint-imports
-	$(BIN)/pyright
+	$(BIN)/ruff check .
+	$(BIN)/python -m pytest tests/lint
+
+# Wheel and sdist in fresh environments, with all dependencies: about seven minutes.
+package: .venv/installed
+	$(BIN)/python -m tests.package.full
 
 clean:
 	rm -rf .venv .kincal
