@@ -38,7 +38,7 @@ def main() -> None:
             session = Run(load_robot(robot), Store(Path(folder) / "store"))
             for method in ("geometric", "hybrid"):
                 found = calibrated(session.robot.description, session.until, method)
-                chosen = found.methods()[method]
+                chosen = found.methods[method]
                 assert isinstance(chosen, ModelMethod | HybridMethod)
                 _measure(robot, method, chosen, found.channels, session, Path(folder))
 

@@ -42,6 +42,9 @@ class Known(Stage):
     def result(self) -> type:
         return self.kind
 
+    def call(self, values: Mapping[str, Any]) -> Any:
+        return self.function()
+
 
 @dataclass(frozen=True)
 class Clean:

@@ -185,6 +185,20 @@ class Hybrids:
     fits: tuple[Corrected, ...]  # in the order of Identified.fits
 
 
+@dataclass(frozen=True)
+class Bundle:
+    """Results and settings that belong together, as one argument of a stage function, by the names of its fields."""
+
+
+@dataclass(frozen=True)
+class Fits(Bundle):
+    """All that was fitted to measured poses: `methods.calibrated.calibrations` puts it together, fit by fit."""
+
+    identified: Identified
+    transferred: Transferred
+    hybrids: Hybrids
+
+
 RAW = "nominal, raw"  # the row of the nominal robot with W = T = 1
 
 

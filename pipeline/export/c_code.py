@@ -20,7 +20,7 @@ from kincal.pipeline.compensator.compensator import Compensator
 from kincal.pipeline.compensator.library import Library
 from kincal.pipeline.export.export import TOLERANCE
 from kincal.pipeline.export.target import MADE_HERE, beside, check_folder_free
-from kincal.pipeline.methods.calibrated import Calibrated
+from kincal.pipeline.methods.calibrated import CalibratedRobot
 from kincal.pipeline.methods.predictors import HybridMethod, ModelMethod
 from kincal.pipeline.run.calibrated import calibrated
 from kincal.pipeline.run.runner import Run
@@ -68,7 +68,7 @@ def export_code(session: Run, method: str = "hybrid", output: Path | None = None
     marker = output / f"{name}.h"
     check_folder_free(output, session.robot.file, force, marker)
     found = calibrated(session.robot.description, session.until, method)
-    chosen = found.methods()[method]
+    chosen = found.methods[method]
     assert isinstance(chosen, ModelMethod | HybridMethod)
     compensator = Compensator.of(chosen, found.channels, description.workspace)
     files = sources(compensator, name, _said(session, found, chosen, method))
@@ -86,9 +86,9 @@ def export_code(session: Run, method: str = "hybrid", output: Path | None = None
     return ExportedCode(output, name, agreed, compiler, most)
 
 
-def _said(session: Run, found: Calibrated, method: ModelMethod | HybridMethod, name: str) -> list[str]:
+def _said(session: Run, found: CalibratedRobot, method: ModelMethod | HybridMethod, name: str) -> list[str]:
     """Where the code comes from."""
-    fit = found.identified.shipped
+    fit = found.identification
     said = [
         f"{MADE_HERE}{session.robot.description.name}, compensator of the {name} method, identified from {fit.n_poses} "
         f"poses ({session.until('measure')[0].source}: {', '.join(fit.channels)}), kincal {version('kincal')}, casadi "

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from kincal.pipeline.export.export import Exported
     from kincal.pipeline.interface.campaign import Foresight
     from kincal.pipeline.interface.fit import Fit
-    from kincal.pipeline.methods.calibrated import Calibrated
+    from kincal.pipeline.methods.calibrated import CalibratedRobot
     from kincal.pipeline.results import Comparison
     from kincal.pipeline.run.runner import Run
 
@@ -48,7 +48,7 @@ class Calibration:
     def __init__(self, session: Run) -> None:
         self._session = session
         self._results: dict[str, Any] = {}  # {stage: its result}, of those that were asked for
-        self._calibrated: dict[str | None, Calibrated] = {}
+        self._calibrated: dict[str | None, CalibratedRobot] = {}
 
     @classmethod
     def open(
@@ -180,7 +180,7 @@ class Calibration:
         raw, source = raw_readings(readings, names, settings)
         numbers, values = calibrated.readings(raw, source)
         with naming(source):
-            return predicted_table(calibrated, method, numbers, values)
+            return predicted_table(calibrated.calibrated, method, numbers, values)
 
     def compensate(self, desired: Data, *, method: str = "hybrid", strict: bool = False) -> pd.DataFrame:
         """Find the actuator readings that bring the tool to desired poses.
@@ -436,7 +436,7 @@ class Calibration:
         """As `status`, in plain values."""
         return list(self._session.status())
 
-    def _with(self, method: str | None) -> Calibrated:
+    def _with(self, method: str | None) -> CalibratedRobot:
         """With what `method` needs; None: all."""
         from kincal.pipeline.run.calibrated import calibrated
 

@@ -152,7 +152,7 @@ def identify(robot: RobotLike, data: Data | None = None, *, progress: StageObser
     from kincal.pipeline.run.in_memory import InMemory
     from kincal.pipeline.run.threads import fixed_threads
     from kincal.pipeline.stages.identification import as_built
-    from kincal.pipeline.stages.robot_data import error_model, used_poses
+    from kincal.pipeline.stages.robot_data import Poses
 
     robot = robot_of(robot)
     description = robot.description
@@ -161,10 +161,9 @@ def identify(robot: RobotLike, data: Data | None = None, *, progress: StageObser
     model = run.result("model")
     if data is not None:
         run = InMemory(description, {"model": model, "measure": measured_table(robot, model, data)}, observe)
-    errors = error_model(model, description.tolerance, description.actuator)
-    poses = used_poses(run.result("filter"), errors, description.sensor, description.split, description.seed)
+    poses = Poses.measured_on(model, run.result("filter"), description)
     with fixed_threads(("scipy",)):
-        identification, _ = as_built(errors, poses, description.identify)
+        identification, _ = as_built(poses.errors, poses.measurements, description.identify)
     return Fit(robot, identification)
 
 
@@ -172,11 +171,11 @@ def measured_table(robot: Robot, model: Model, data: Data) -> Measured:
     """A table that was brought, as the measure stage hands it on. Raises InputError."""
     from kincal.identification.measurements import canonical_table, check_readings
     from kincal.pipeline.results import Measured
-    from kincal.pipeline.stages.robot_data import error_model
+    from kincal.pipeline.stages.robot_data import DrawnRobot
 
     description = robot.description
     raw, source = raw_table(data, description.measure, "data")
-    errors = error_model(model, description.tolerance, description.actuator)
+    errors = DrawnRobot.of(model, description).errors
     table = canonical_table(raw, errors.chain.actuated_names, description.measure, source)
     check_readings(table, errors.chain, errors.actuators, description.tolerance, source)
     name = source.name if isinstance(source, Path) else source

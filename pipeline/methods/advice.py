@@ -2,37 +2,28 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
 from kincal.identification.channels import all_turns, parts
-from kincal.identification.error_model import ErrorModel
 from kincal.identification.predicted_accuracy import mean_length
-from kincal.pipeline.methods.covariance import pose_covariance, seen_from
-from kincal.pipeline.methods.predictors import METHODS, HybridMethod, Method, ModelMethod
-from kincal.pipeline.results import Advice, Corrected, Fit, MethodScore
+from kincal.pipeline.methods.calibrated import SURE, Calibrated
+from kincal.pipeline.methods.covariance import seen_from
+from kincal.pipeline.methods.predictors import METHODS
+from kincal.pipeline.results import Advice, MethodScore
 
-_SURE = ("geometric", "hybrid")  # that come with a covariance, and a learning curve
 _PAYS = 0.2  # share of the expected error that is saved
 _AS_GOOD = 1.02  # of two methods so near each other the simpler one is taken
 _STEEPEST = 1.0  # fall of the error with the number of poses, as a power: noise alone gives 1/2
 _LARGEST = 4.0  # times the poses: farther nothing is foretold
 
 
-def advise(
-    model: ErrorModel,
-    fit: Fit,
-    corrected: Corrected,
-    methods: Mapping[str, Method],
-    scores: Sequence[MethodScore],
-    readings: np.ndarray,
-    channels: tuple[str, ...],
-) -> Advice:
+def advise(calibrated: Calibrated, scores: Sequence[MethodScore], readings: np.ndarray) -> Advice:
     """Of scored methods; expected errors are those of poses like the measured ones, at readings (n, n_actuated)."""
-    best = _best(scores)
-    sure = methods.get(best) if best in _SURE else None
-    expected = _expected(model, fit, corrected, sure, readings, channels)
+    best, corrected = _best(scores), calibrated.corrected
+    assert corrected is not None
+    expected = _expected(calibrated, best, readings)
     if expected is None:
         score = next(s for s in scores if s.name == best)
         expected = (score.mean_deg, score.mean_mm)
@@ -64,22 +55,14 @@ def _best(scores: Sequence[MethodScore]) -> str:
     return min((name for name, v in values.items() if v <= _AS_GOOD * least), key=METHODS.index)
 
 
-def _expected(
-    model: ErrorModel,
-    fit: Fit,
-    corrected: Corrected,
-    method: Method | None,
-    readings: np.ndarray,
-    channels: tuple[str, ...],
-) -> tuple[float | None, float | None] | None:
+def _expected(calibrated: Calibrated, best: str, readings: np.ndarray) -> tuple[float | None, float | None] | None:
     """Mean errors [deg], [mm] by the calibrated covariance; None where there is none."""
-    if method is None:
+    covariance, channels = calibrated.covariance(best, readings), calibrated.channels
+    if covariance is None:
         return None
-    assert isinstance(method, ModelMethod | HybridMethod)
-    covariance = pose_covariance(model, fit, corrected, method, readings)
     turned = covariance[:, :3, :3]
     if not all_turns(channels):
-        turned = seen_from(turned, method.predict(readings).rotation[:, 2])
+        turned = seen_from(turned, calibrated.methods[best].predict(readings).rotation[:, 2])
     deg = float(np.rad2deg(np.mean(mean_length(turned)))) if "tilt" in parts(channels) else None
     return deg, float(1e3 * np.mean(mean_length(covariance[:, 3:, 3:]))) if "position" in channels else None
 
@@ -87,7 +70,7 @@ def _expected(
 def _power(curve: np.ndarray, method: str) -> float:
     """b of an error that falls as n^-b, by a line through the learning curve's logarithms; 0 where nothing is told."""
     errors = curve[:, 1 if method == "geometric" else 2] if len(curve) else np.zeros(0)
-    if len(errors) < 3 or not np.all(errors > 0) or method not in _SURE:
+    if len(errors) < 3 or not np.all(errors > 0) or method not in SURE:
         return 0.0
     slope = np.polyfit(np.log(curve[:, 0]), np.log(errors), 1)[0]
     return float(np.clip(-slope, 0.0, _STEEPEST))

@@ -5,35 +5,75 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 
 from kincal.identification.error_model import ErrorModel
+from kincal.identification.identification import Identification
 from kincal.identification.measurements import Measurements, canonical_table, check_readings, to_measurements
-from kincal.pipeline.methods.predictors import METHODS, Method, build
-from kincal.pipeline.results import Corrected, Identified, Learned
+from kincal.pipeline.methods.covariance import pose_covariance
+from kincal.pipeline.methods.predictors import METHODS, HybridMethod, Method, ModelMethod, build
+from kincal.pipeline.results import Corrected, Fit, Hybrids, Identified, Learned, Transferred
 from kincal.urdf.description import Measure, RobotDescription, nearest
 from kincal.urdf.errors import InputError
+
+SURE = ("geometric", "hybrid")  # the methods that come with a covariance
 
 
 @dataclass(frozen=True)
 class Calibrated:
-    """A robot with what was identified and learned from all measured poses."""
+    """What was identified and learned from some measured poses."""
 
-    description: RobotDescription
     model: ErrorModel
-    identified: Identified
+    fit: Fit
     learned: Learned | None  # None: nobody asked for the networks
     corrected: Corrected | None
+    channels: tuple[str, ...]
+
+    @cached_property
+    def methods(self) -> Mapping[str, Method]:
+        """In the table's order; without those that nobody asked for."""
+        return build(self.model, self.fit, self.learned, self.corrected, self.channels)
+
+    def covariance(self, method: str, readings: np.ndarray) -> np.ndarray | None:
+        """(n, 6, 6) of predicted poses, as `pose_covariance` has it; None for methods without one."""
+        chosen = self.methods.get(method)
+        if self.corrected is None or method not in SURE:
+            return None
+        assert isinstance(chosen, ModelMethod | HybridMethod)
+        return pose_covariance(self.model, self.fit, self.corrected, chosen, readings)
+
+
+def calibrations(
+    model: ErrorModel, identified: Identified, transferred: Transferred, hybrids: Hybrids
+) -> tuple[Calibrated, ...]:
+    """One a fit, in the order of `Identified.fits`: from all measured poses first."""
+    parts = zip(identified.fits(), transferred.fits, hybrids.fits, strict=True)
+    return tuple(Calibrated(model, *part, identified.shipped.channels) for part in parts)
+
+
+@dataclass(frozen=True)
+class CalibratedRobot:
+    """A robot with what was identified and learned from all of its measured poses, and the tables that it reads."""
+
+    description: RobotDescription
+    identification: Identification
+    calibrated: Calibrated
+
+    @property
+    def model(self) -> ErrorModel:
+        return self.calibrated.model
 
     @property
     def channels(self) -> tuple[str, ...]:
-        return self.identified.shipped.channels
+        return self.calibrated.channels
 
+    @property
     def methods(self) -> Mapping[str, Method]:
-        return build(self.model, self.identified.fits()[0], self.learned, self.corrected, self.channels)
+        return self.calibrated.methods
 
     def table(self, raw: pd.DataFrame, source: Path | str, settings: Measure, measured: bool) -> pd.DataFrame:
         """A table as somebody brought it -> the canonical one, its readings checked. Raises InputError."""

@@ -10,7 +10,7 @@ import pandas as pd
 
 from kincal.identification.channels import parts
 from kincal.identification.measurements import canonical_table, to_measurements
-from kincal.pipeline.methods.calibrated import Calibrated
+from kincal.pipeline.methods.calibrated import CalibratedRobot
 from kincal.pipeline.methods.commands import Commands, commands
 from kincal.pipeline.methods.goal import Goal
 from kincal.urdf.errors import InputError
@@ -18,7 +18,7 @@ from kincal.urdf.rigid_motion import Motion
 from kincal.urdf.workspace import AXES
 
 
-def commands_of(calibrated: Calibrated, method: str, raw: pd.DataFrame, source: Path | str) -> Commands:
+def commands_of(calibrated: CalibratedRobot, method: str, raw: pd.DataFrame, source: Path | str) -> Commands:
     """The actuators' readings that reach the poses of a table (a measurement table without joints). Raises InputError.
 
     Whether a pose can be reached is a matter of each row; see `Commands`.
@@ -26,12 +26,12 @@ def commands_of(calibrated: Calibrated, method: str, raw: pd.DataFrame, source: 
     model, description = calibrated.model, calibrated.description
     table = canonical_table(raw, (), description.measure.model_copy(update={"columns": {}}), source)
     desired, known, numbers = _desired(table, calibrated, source)
-    chosen = calibrated.methods()[method]
+    chosen = calibrated.methods[method]
     return commands(chosen, desired, model.chain, model.actuators, description.workspace, numbers, known)
 
 
 def _desired(
-    table: pd.DataFrame, calibrated: Calibrated, source: Path | str
+    table: pd.DataFrame, calibrated: CalibratedRobot, source: Path | str
 ) -> tuple[Motion, tuple[str, ...], np.ndarray]:
     """Desired poses, the parts of them that are known, and their numbers.
 
@@ -39,13 +39,13 @@ def _desired(
     was measured counts, too: there and in all else the file does not say, the poses are as at home.
     """
     wanted = to_measurements(table, (), calibrated.description.sensor)
-    model, identified = calibrated.model, calibrated.identified
+    model, identified = calibrated.model, calibrated.identification
     axes = model.chain.tool_axes
     if any(a < 3 for a in axes) and wanted.position is None:
         raise InputError(f"{source}: the tool moves along {[AXES[a] for a in axes if a < 3]}: x, y, z are needed")
     if any(a >= 3 for a in axes) and wanted.orientation is None and wanted.tilt is None:
         raise InputError(f"{source}: the tool turns: qx, qy, qz, qw or roll, pitch (and yaw) are needed")
-    robot = model.robot(identified.shipped.change)
+    robot = model.robot(identified.change)
     home = robot.measured(model.chain.home_pose)
     pose = wanted.as_poses()
     if wanted.orientation is None and wanted.tilt is None:
@@ -55,6 +55,6 @@ def _desired(
         pose = replace(wanted, yaw=yaw).as_poses()
     if wanted.position is None:
         pose = Motion(pose.rotation, np.broadcast_to(home.translation, pose.translation.shape))
-    measured = identified.shipped.channels
+    measured = identified.channels
     known = tuple(sorted(parts(wanted.channels) & parts(measured)))
     return pose, known if Goal.of(robot, pose, known).decided() else measured, wanted.pose

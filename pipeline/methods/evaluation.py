@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from kincal.identification.measurements import Measurements
-from kincal.pipeline.methods.calibrated import Calibrated, naming
+from kincal.pipeline.methods.calibrated import CalibratedRobot, naming
 from kincal.pipeline.methods.predictors import uncalibrated
 from kincal.pipeline.methods.refit import refitted
 from kincal.pipeline.methods.scores import scores
@@ -13,7 +13,7 @@ from kincal.pipeline.results import RAW, Comparison
 
 
 def evaluated(
-    calibrated: Calibrated,
+    calibrated: CalibratedRobot,
     measured: Measurements,
     source: Path | str,
     *,
@@ -26,7 +26,7 @@ def evaluated(
     register: W is first refitted alone; rehome: the actuators' zeros are. Each method is refitted by its own
     predictions of the same poses. trained_on: what the robot was calibrated with.
     """
-    model, methods = calibrated.model, dict(calibrated.methods())
+    model, methods = calibrated.model, dict(calibrated.methods)
     if register or rehome:
         with naming(source):
             methods = {name: refitted(method, measured, register, rehome) for name, method in methods.items()}
@@ -34,7 +34,7 @@ def evaluated(
     return Comparison(
         robot=calibrated.description.name,
         source=trained_on,
-        n_poses=calibrated.identified.shipped.n_poses,
+        n_poses=calibrated.identification.n_poses,
         n_scored=len(measured),
         scored_on=str(source),
         channels=channels,

@@ -7,8 +7,8 @@ import pandas as pd
 
 from kincal.identification.measurements import quaternions
 from kincal.pipeline.methods.calibrated import Calibrated
-from kincal.pipeline.methods.covariance import pose_covariance, radius, seen_from, sigma
-from kincal.pipeline.methods.predictors import HybridMethod, ModelMethod
+from kincal.pipeline.methods.covariance import radius, seen_from, sigma
+from kincal.pipeline.methods.predictors import HybridMethod
 
 
 def predicted_table(calibrated: Calibrated, method: str, numbers: np.ndarray, readings: np.ndarray) -> pd.DataFrame:
@@ -18,15 +18,12 @@ def predicted_table(calibrated: Calibrated, method: str, numbers: np.ndarray, re
     and the radius of the region that holds it with 95 %, [rad] and [m]; an instrument's noise comes on top. `share` is
     how much of the correction is believed there: 0 far outside the measured poses. Raises InputError.
     """
-    model, channels = calibrated.model, calibrated.channels
-    chosen = calibrated.methods()[method]
+    channels, chosen = calibrated.channels, calibrated.methods[method]
     pose = chosen.predict(readings)
     r = pose.rotation
+    covariance = calibrated.covariance(method, readings)
     turned = moved = None
-    if calibrated.corrected is not None and method in ("geometric", "hybrid"):
-        assert isinstance(chosen, ModelMethod | HybridMethod)
-        fit = calibrated.identified.fits()[0]
-        covariance = pose_covariance(model, fit, calibrated.corrected, chosen, readings)
+    if covariance is not None:
         turned, moved = covariance[:, :3, :3], covariance[:, 3:, 3:]
     columns: dict[str, np.ndarray] = {"pose": numbers}
     if "orientation" in channels:

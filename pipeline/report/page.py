@@ -19,14 +19,13 @@ from kincal.pipeline.report.pages import environment
 from kincal.pipeline.report.tables import collinear_lines, comparison_tables, parameter_table, wave_table
 from kincal.pipeline.results import (
     Comparison,
+    Corrected,
     Filtered,
-    Hybrids,
     Identified,
     Learned,
     Model,
     Pretrained,
     SiblingResiduals,
-    Transferred,
 )
 
 
@@ -36,9 +35,9 @@ def page(
     filtered: Filtered,
     identified: Identified,
     pretrained: Pretrained,
-    transferred: Transferred,
+    learned: Learned,
     siblings: SiblingResiduals,
-    hybrids: Hybrids,
+    corrected: Corrected,
     compared: Comparison,
 ) -> str:
     """The whole report of one robot."""
@@ -48,7 +47,7 @@ def page(
             "singular_values": _drawn(singular_values, identified.shipped, 3.0),
             "changes": _drawn(changes, identified.shipped, 3.0),
             "residuals": _residuals(identified),
-            "training": _training(pretrained, transferred.fits[0], siblings),
+            "training": _training(pretrained, learned, siblings),
         }
     return (
         environment(Path(__file__).parent / "templates")
@@ -58,8 +57,8 @@ def page(
             campaign=campaign,
             filtered=filtered,
             pretrained=pretrained,
-            corrected=hybrids.fits[0],
-            waves=wave_table(hybrids.fits[0].correction, model),
+            corrected=corrected,
+            waves=wave_table(corrected.correction, model),
             shipped=identified.shipped,
             compared=compared,
             comparison=comparison_tables(compared.methods, compared.raw_nominal),

@@ -6,10 +6,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from kincal.pipeline.results import RAW, Filtered, Hybrids, Identified, Measured, Model, PosePlan, Transferred
+from kincal.pipeline.results import RAW, Fits, Measured, PosePlan
 from kincal.pipeline.run.fan_out import Job, run_of
 from kincal.pipeline.run.stage import stage_of
-from kincal.urdf.description import Actuator, Evaluate, Sensor, Split, Tolerance
+from kincal.pipeline.stages.robot_data import Poses
+from kincal.urdf.description import Evaluate
 
 
 @dataclass(frozen=True)
@@ -31,49 +32,32 @@ def errors_of(job: Job) -> tuple[PoseErrors, tuple[str, str]]:
     return found, (stage.name, run.entries[stage.name].manifest["key"])
 
 
-def pose_errors(
-    model: Model,
-    plan: PosePlan,
-    measured: Measured,
-    filtered: Filtered,
-    identified: Identified,
-    transferred: Transferred,
-    hybrids: Hybrids,
-    sensor: Sensor,
-    tolerance: Tolerance,
-    actuator: dict[str, Actuator],
-    split: Split,
-    evaluate: Evaluate,
-    seed: int,
-) -> PoseErrors:
+def pose_errors(poses: Poses, fits: Fits, plan: PosePlan, measured: Measured, evaluate: Evaluate) -> PoseErrors:
     """A stage beside those that every robot goes through."""
     from kincal.identification.accuracy import orientation_error
-    from kincal.pipeline.methods.predictors import build, uncalibrated
+    from kincal.pipeline.methods.calibrated import calibrations
+    from kincal.pipeline.methods.predictors import uncalibrated
     from kincal.pipeline.stages.fresh_poses import fresh_poses
-    from kincal.pipeline.stages.robot_data import error_model, used_poses
 
-    errors = error_model(model, tolerance, actuator)
-    poses = used_poses(filtered, errors, sensor, split, seed)
-    shipped, held_out = (
-        {RAW: uncalibrated(errors)} | dict(build(errors, fit, transferred.fits[k], hybrids.fits[k], poses.channels))
-        for k, fit in enumerate(identified.fits()[:2])
-    )
-    tested = identified.held_out.test
-    trained = np.setdiff1d(np.arange(len(poses)), tested)
+    errors, measurements = poses.errors, poses.measurements
+    calibrated = calibrations(errors, fits.identified, fits.transferred, fits.hybrids)
+    shipped, held_out = ({RAW: uncalibrated(errors), **c.methods} for c in calibrated[:2])
+    tested = fits.identified.held_out.test
+    trained = np.setdiff1d(np.arange(len(measurements)), tested)
     assert measured.truth is not None  # `reproduce` takes virtual robots alone
-    at, actual = fresh_poses(model, errors, measured.truth, evaluate.fresh_poses, seed)
+    at, actual = fresh_poses(poses, measured.truth, evaluate.fresh_poses, poses.seed)
 
     def of(methods, readings: np.ndarray, truth: np.ndarray) -> np.ndarray:
         found = [orientation_error(truth, method.predict(readings).rotation) for method in methods.values()]
         return np.rad2deg(np.stack(found))
 
-    seen = poses.as_poses().rotation
-    angles = plan.table.set_index("pose").loc[poses.pose, [f"planned_r{axis}" for axis in "xyz"]]
+    seen = measurements.as_poses().rotation
+    angles = plan.table.set_index("pose").loc[measurements.pose, [f"planned_r{axis}" for axis in "xyz"]]
     return PoseErrors(
         methods=tuple(shipped),
         configurations=np.rad2deg(angles.to_numpy()),
         tested=tested,
-        training=of(held_out, poses.readings[trained], seen[trained]),
-        testing=of(held_out, poses.readings[tested], seen[tested]),
+        training=of(held_out, measurements.readings[trained], seen[trained]),
+        testing=of(held_out, measurements.readings[tested], seen[tested]),
         fresh=of(shipped, at.readings, actual.rotation),
     )

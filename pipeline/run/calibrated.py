@@ -5,12 +5,14 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-from kincal.pipeline.methods.calibrated import Calibrated, check_method
-from kincal.pipeline.stages.robot_data import error_model
+from kincal.pipeline.methods.calibrated import Calibrated, CalibratedRobot, check_method
+from kincal.pipeline.stages.robot_data import DrawnRobot
 from kincal.urdf.description import RobotDescription
 
 
-def calibrated(description: RobotDescription, until: Callable[..., list[Any]], method: str | None = None) -> Calibrated:
+def calibrated(
+    description: RobotDescription, until: Callable[..., list[Any]], method: str | None = None
+) -> CalibratedRobot:
     """With what `method` needs; None: with all. Networks that nobody asks for are not trained. Raises InputError.
 
     until: brings stages up to date and returns their results, as `Run.until` does.
@@ -25,10 +27,12 @@ def calibrated(description: RobotDescription, until: Callable[..., list[Any]], m
     }
     wanted = [name for name, needed in stages.items() if needed]
     results = dict(zip(wanted, until(*wanted), strict=True))
-    return Calibrated(
-        description,
-        error_model(results["model"], description.tolerance, description.actuator),
-        results["identify"],
+    identified = results["identify"]
+    fitted = Calibrated(
+        DrawnRobot.of(results["model"], description).errors,
+        identified.fits()[0],
         results["transfer"].fits[0] if "transfer" in results else None,
         results["correct"].fits[0] if "correct" in results else None,
+        identified.shipped.channels,
     )
+    return CalibratedRobot(description, identified.shipped, fitted)

@@ -40,7 +40,7 @@ class InMemory:
         self._observe(Event(name, "running"))
         try:
             with fixed_threads(stage.libraries):
-                value = stage.function(**inputs, **settings)
+                value = stage.call(inputs | settings)
         except FloatingPointError as error:
             raise CalibrationError(f"{name}: {error}") from None
         for note in getattr(value, "warnings", ()):

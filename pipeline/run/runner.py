@@ -122,7 +122,7 @@ class Run:
             if found is None:
                 try:
                     with fixed_threads(stage.libraries):
-                        value = stage.function(**inputs, **{name: self._setting(name) for name in stage.settings})
+                        value = stage.call(inputs | {name: self._setting(name) for name in stage.settings})
                 except FloatingPointError as error:  # a loss that is not a number, a matrix that can't be factored
                     raise CalibrationError(f"{stage.name}: {error}; nothing was stored") from None
                 for note in getattr(value, "warnings", ()):

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import inspect
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import lru_cache
 from importlib import metadata
 from typing import Any
 
+from kincal.pipeline.results import Bundle
 from kincal.pipeline.stages.registry import STAGES
 from kincal.urdf.errors import InputError
 
@@ -19,22 +20,47 @@ class Stage:
 
     name: str
     function: Callable[..., Any]
-    inputs: Mapping[str, str]  # {parameter: stage}
+    inputs: Mapping[str, str]  # {parameter, or field of a bundle: stage}
     settings: tuple[str, ...]
     libraries: tuple[str, ...]
+    bundles: Mapping[str, type[Bundle]]  # {parameter: inputs and settings that come together}
 
     @property
     def result(self) -> type:
         return self.function.__globals__[self.function.__annotations__["return"]]
 
+    def call(self, values: Mapping[str, Any]) -> Any:
+        """The result; values: of all inputs and settings, by name."""
+        given: dict[str, Any] = {}
+        for name in inspect.signature(self.function).parameters:
+            bundle = self.bundles.get(name)
+            if bundle is None:
+                given[name] = values[name]
+            else:
+                given[name] = bundle(**{field: values[field] for field in _kinds_of(bundle)})
+        return self.function(**given)
+
 
 def stage_of(function: Callable[..., Any], libraries: tuple[str, ...]) -> Stage:
-    """A function of the stages' results and of settings."""
+    """A function of the stages' results, of settings, and of bundles of both."""
     producer = {f.__annotations__["return"]: f.__name__ for f in STAGES}
-    kinds = {name: p.annotation for name, p in inspect.signature(function).parameters.items()}
+    kinds: dict[str, str] = {}
+    bundles: dict[str, type[Bundle]] = {}
+    for name, parameter in inspect.signature(function).parameters.items():
+        bundle = function.__globals__.get(parameter.annotation)
+        if isinstance(bundle, type) and issubclass(bundle, Bundle):
+            bundles[name] = bundle
+            kinds |= _kinds_of(bundle)
+        else:
+            kinds[name] = parameter.annotation
     inputs = {name: producer[kind] for name, kind in kinds.items() if kind in producer}
     settings = tuple(name for name in kinds if name not in inputs)
-    return Stage(function.__name__, function, inputs, settings, libraries)
+    return Stage(function.__name__, function, inputs, settings, libraries, bundles)
+
+
+def _kinds_of(bundle: type[Bundle]) -> dict[str, str]:
+    """{field: its annotation}"""
+    return {field.name: str(field.type) for field in fields(bundle)}
 
 
 @lru_cache(maxsize=1)

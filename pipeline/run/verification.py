@@ -164,12 +164,14 @@ def _derived(session: Run, entries: Mapping[str, Entry]) -> Derived:
     """Run `evaluate` on what is stored: its inputs, and the settings that its manifest names."""
     stage, stored = all_stages()["evaluate"], entries["evaluate"]
     hints = get_type_hints(stage.function)
+    for bundle in stage.bundles.values():
+        hints |= get_type_hints(bundle)
     given: dict[str, Any] = {
         name: session.store.load(entries[source], all_stages()[source].result) for name, source in stage.inputs.items()
     }
     for name in stage.settings:
         given[name] = TypeAdapter(hints[name]).validate_json(json.dumps(stored.manifest["parts"]["settings"][name]))
-    found, before = encode(stage.function(**given)), session.store.files(stored)
+    found, before = encode(stage.call(given)), session.store.files(stored)
     code = session.code.fingerprint(stage.function.__module__, stage.name)
     changed = code != stored.manifest["parts"]["code"]
     if found == before:

@@ -9,7 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from kincal.pipeline.methods.predictors import build, uncalibrated
+from kincal.pipeline.methods.calibrated import calibrations
+from kincal.pipeline.methods.predictors import uncalibrated
 from kincal.pipeline.report.pages import environment
 from kincal.pipeline.report.paper import AXES
 from kincal.pipeline.report.tables import degrees
@@ -23,7 +24,7 @@ from kincal.pipeline.sea.ship_motion import ShipMotion
 from kincal.pipeline.sea.synthesis import generated, rao_of
 from kincal.pipeline.sea.trial import START_S, Platform, SeaTrial, Trial, sea_trial
 from kincal.pipeline.sea.trial_document import document, series
-from kincal.pipeline.stages.robot_data import error_model, used_poses
+from kincal.pipeline.stages.robot_data import Poses
 from kincal.pipeline.store.files import replace_files
 from kincal.pipeline.virtual.robot import VirtualRobot
 from kincal.urdf.errors import InputError
@@ -54,13 +55,12 @@ def sail(session: Run, sea: Seaway, settings: Trial, log: Path | None, command: 
             f"{description.name}: a sea trial moves the robot as it really is, which only a virtual robot knows: "
             f'measure.source is "files" ({measured.source}), allowed is "virtual"'
         )
-    errors = error_model(model, description.tolerance, description.actuator)
-    channels, actual = identified.shipped.channels, VirtualRobot.of(errors, measured.truth)
+    drawn = Poses.measured_on(model, filtered, description)
+    errors, readings, actual = drawn.errors, drawn.measurements.readings, VirtualRobot.of(drawn.errors, measured.truth)
     platforms = [
-        Platform(description, errors, actual, {RAW: uncalibrated(errors), **build(errors, *fit, channels)}, channels)
-        for fit in zip(identified.fits()[:2], transferred.fits, hybrids.fits, strict=False)
+        Platform(description, errors, actual, {RAW: uncalibrated(errors), **c.methods}, c.channels)
+        for c in calibrations(errors, identified, transferred, hybrids)[:2]
     ]
-    readings = used_poses(filtered, errors, description.sensor, description.split, description.seed).readings
     trial = sea_trial(platforms[0], motion, sea.rate_hz, settings)
     poses = configurations(platforms[1], readings, identified.held_out.test)
     sources = {name: session.entries[name].digest for name in ("measure", "identify", "transfer", "correct")}

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from kincal.pipeline.results import Filtered, Measured, Model, PosePlan
-from kincal.pipeline.stages.robot_data import error_model
+from kincal.pipeline.stages.robot_data import DrawnRobot
 from kincal.urdf.description import Actuator, Filter, Instruments, Measure, Plan, Sensor, Tolerance
 
 if TYPE_CHECKING:
@@ -44,29 +44,21 @@ def plan(
     return PosePlan(pd.DataFrame({"pose": range(len(u)), **columns}))
 
 
-def measure(
-    model: Model,
-    plan: PosePlan,
-    measure: Measure,
-    sensor: Sensor,
-    actuator: dict[str, Actuator],
-    tolerance: Tolerance,
-    seed: int,
-) -> Measured:
+def measure(robot: DrawnRobot, plan: PosePlan, measure: Measure, sensor: Sensor, seed: int) -> Measured:
     """The measurement table and streams: read from files, or measured by a virtual robot on itself."""
     from kincal.identification.measurements import to_table
     from kincal.pipeline.virtual.robot import VirtualRobot, default_channels, draw, stream_of
     from kincal.pipeline.virtual.robot import measure as sense
 
-    nominal = error_model(model, tolerance, actuator)
+    nominal = robot.errors
     chain = nominal.chain
     if not measure.virtual:
-        return _from_files(chain, nominal, measure, tolerance)
+        return _from_files(chain, nominal, measure, robot.tolerance)
     seed = seed if measure.seed is None else measure.seed
     truth = draw(nominal, measure.errors, seed)
     readings = plan.table[list(chain.actuated_names)].to_numpy()
-    robot = VirtualRobot.of(nominal, truth)
-    pose, cross_axis = robot.pose(readings, robot.campaign(readings)), measure.errors.cross_axis
+    virtual = VirtualRobot.of(nominal, truth)
+    pose, cross_axis = virtual.pose(readings, virtual.campaign(readings)), measure.errors.cross_axis
     channels = measure.channels or default_channels(chain.tool_axes)
     # a stream is an inclinometer's: a heading without tilt comes as one reading a pose
     streamed = tuple(c for c in channels if c in ("tilt", "yaw")) if measure.stream and "tilt" in channels else ()

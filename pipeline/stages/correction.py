@@ -2,21 +2,21 @@
 
 from __future__ import annotations
 
-from kincal.pipeline.results import Filtered, Hybrids, Identified, Model, SiblingResiduals
-from kincal.pipeline.stages.robot_data import closed, error_model, used_poses
-from kincal.urdf.description import Actuator, Correct, Plan, Sensor, Siblings, Split, Tolerance
+from kincal.pipeline.results import Hybrids, Identified, SiblingResiduals
+from kincal.pipeline.stages.robot_data import DrawnRobot, Poses
+from kincal.urdf.description import Correct, Plan, Siblings
 
 
-def siblings(model: Model, siblings: Siblings, tolerance: Tolerance, actuator: dict[str, Actuator]) -> SiblingResiduals:
+def siblings(robot: DrawnRobot, siblings: Siblings) -> SiblingResiduals:
     """What geometry does not explain of virtual robots of this design, learned once for all that are built."""
     from kincal.identification.poses import planned
     from kincal.learning.inherit import inherit
     from kincal.pipeline.virtual.siblings import residuals, unexplained
 
-    errors = error_model(model, tolerance, actuator)
+    errors = robot.errors
     plan = Plan(poses=siblings.poses, layout="random")
-    u = planned(model.mechanism.workspace, errors.chain.tool_axes, plan, siblings.seed)
-    closure, readings = closed(errors, u, "siblings: pose")
+    u = planned(robot.model.mechanism.workspace, errors.chain.tool_axes, plan, siblings.seed)
+    closure, readings = robot.closed(u, "siblings: pose")
     give = residuals(errors.chain, closure.q, siblings.count, siblings.seed)
     inherited, curve = inherit(
         readings,
@@ -28,22 +28,11 @@ def siblings(model: Model, siblings: Siblings, tolerance: Tolerance, actuator: d
     return SiblingResiduals(inherited, curve)
 
 
-def correct(
-    model: Model,
-    filtered: Filtered,
-    identified: Identified,
-    siblings: SiblingResiduals,
-    sensor: Sensor,
-    tolerance: Tolerance,
-    actuator: dict[str, Actuator],
-    split: Split,
-    correct: Correct,
-    seed: int,
-) -> Hybrids:
+def correct(poses: Poses, identified: Identified, siblings: SiblingResiduals, correct: Correct) -> Hybrids:
     """The residual network of the actuators, and the geometry refined beside it."""
     from kincal.pipeline.methods.residual_network import corrected
 
-    errors = error_model(model, tolerance, actuator)
-    poses = used_poses(filtered, errors, sensor, split, seed).scaled(identified.shipped.sensor_estimated)
-    inherited, known = siblings.inherited, not identified.shipped.sensor_estimated
-    return Hybrids(tuple(corrected(errors, poses, fit, inherited, correct, seed, known) for fit in identified.fits()))
+    estimated, inherited, seed = identified.shipped.sensor_estimated, siblings.inherited, poses.seed
+    errors, measured = poses.errors, poses.measurements.scaled(estimated)
+    fits = (corrected(errors, measured, fit, inherited, correct, seed, not estimated) for fit in identified.fits())
+    return Hybrids(tuple(fits))

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from kincal.pipeline.results import Filtered, Fit, Identified, Measured, Model
-from kincal.pipeline.stages.robot_data import error_model, used_poses
-from kincal.urdf.description import Actuator, Identify, Sensor, Split, Tolerance
+from kincal.pipeline.results import Fit, Identified, Measured
+from kincal.pipeline.stages.robot_data import Poses
+from kincal.urdf.description import Identify
 
 if TYPE_CHECKING:
     import numpy as np
@@ -16,31 +16,20 @@ if TYPE_CHECKING:
     from kincal.identification.measurements import Measurements
 
 
-def identify(
-    model: Model,
-    measured: Measured,
-    filtered: Filtered,
-    sensor: Sensor,
-    tolerance: Tolerance,
-    actuator: dict[str, Actuator],
-    split: Split,
-    identify: Identify,
-    seed: int,
-) -> Identified:
+def identify(poses: Poses, measured: Measured, identify: Identify) -> Identified:
     """All geometric parameters from the measured poses; and from parts of them, to be scored on the rest."""
     from kincal.identification.poses import folds, held_out
 
-    errors = error_model(model, tolerance, actuator)
-    poses = used_poses(filtered, errors, sensor, split, seed)
-    parts = () if measured.truth is not None else folds(len(poses), split, seed)
-    test = held_out(len(poses), split, seed)
-    shipped, registered = as_built(errors, poses, identify)
-    poses = poses.scaled(shipped.sensor_estimated)
+    errors, measurements, split, seed = poses.errors, poses.measurements, poses.split, poses.seed
+    parts = () if measured.truth is not None else folds(len(measurements), split, seed)
+    test = held_out(len(measurements), split, seed)
+    shipped, registered = as_built(errors, measurements, identify)
+    measurements = measurements.scaled(shipped.sensor_estimated)
     return Identified(
         shipped=shipped,
         registered=registered,
-        held_out=_fit(errors, poses, test, identify),
-        folds=tuple(_fit(errors, poses, part, identify) for part in parts),
+        held_out=_fit(errors, measurements, test, identify),
+        folds=tuple(_fit(errors, measurements, part, identify) for part in parts),
     )
 
 

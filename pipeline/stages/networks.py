@@ -2,28 +2,19 @@
 
 from __future__ import annotations
 
-from kincal.pipeline.results import Filtered, Identified, Model, Pretrained, SourceTask, Transferred
-from kincal.pipeline.stages.robot_data import closed, error_model, used_poses
-from kincal.urdf.description import Actuator, Plan, Pretrain, Prior, Sensor, Split, Tolerance, Transfer
+from kincal.pipeline.results import Identified, Pretrained, SourceTask, Transferred
+from kincal.pipeline.stages.robot_data import DrawnRobot, Poses
+from kincal.urdf.description import Plan, Pretrain, Prior, Transfer
 
 
-def prior(
-    model: Model,
-    identified: Identified,
-    prior: Prior,
-    pretrain: Pretrain,
-    tolerance: Tolerance,
-    actuator: dict[str, Actuator],
-    seed: int,
-) -> SourceTask:
+def prior(robot: DrawnRobot, identified: Identified, prior: Prior, pretrain: Pretrain, seed: int) -> SourceTask:
     """The source task: a uniform grid up to three axes, as in the paper, else evenly spread poses; all nominal."""
     from kincal.identification.poses import planned
     from kincal.pipeline.methods.networks import source_task
 
-    errors = error_model(model, tolerance, actuator)
-    u = planned(model.mechanism.workspace, errors.chain.tool_axes, Plan(poses=prior.poses), seed)
-    _, readings = closed(errors, u, "prior: pose")
-    return source_task(errors, readings, identified, pretrain)
+    u = planned(robot.model.mechanism.workspace, robot.errors.chain.tool_axes, Plan(poses=prior.poses), seed)
+    _, readings = robot.closed(u, "prior: pose")
+    return source_task(robot.errors, readings, identified, pretrain)
 
 
 def pretrain(task: SourceTask, pretrain: Pretrain, seed: int) -> Pretrained:
@@ -34,22 +25,16 @@ def pretrain(task: SourceTask, pretrain: Pretrain, seed: int) -> Pretrained:
 
 
 def transfer(
-    model: Model,
-    filtered: Filtered,
+    poses: Poses,
     identified: Identified,
     task: SourceTask,
     pretrained: Pretrained,
-    sensor: Sensor,
-    tolerance: Tolerance,
-    actuator: dict[str, Actuator],
-    split: Split,
     pretrain: Pretrain,
     transfer: Transfer,
-    seed: int,
 ) -> Transferred:
     """The paper's networks, fine-tuned on measured poses; and the same from the identified model's prior."""
     from kincal.pipeline.methods.networks import learned
 
-    errors = error_model(model, tolerance, actuator)
-    poses = used_poses(filtered, errors, sensor, split, seed)
-    return Transferred(learned(errors, poses, identified, task, pretrained, pretrain, transfer, seed))
+    return Transferred(
+        learned(poses.errors, poses.measurements, identified, task, pretrained, pretrain, transfer, poses.seed)
+    )

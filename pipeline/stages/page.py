@@ -5,15 +5,13 @@ from __future__ import annotations
 from kincal.pipeline.results import (
     Comparison,
     Filtered,
+    Fits,
     Html,
-    Hybrids,
-    Identified,
     Measured,
     Model,
     Pretrained,
     Report,
     SiblingResiduals,
-    Transferred,
 )
 
 
@@ -21,16 +19,15 @@ def report(
     model: Model,
     measured: Measured,
     filtered: Filtered,
-    identified: Identified,
     pretrained: Pretrained,
-    transferred: Transferred,
     siblings: SiblingResiduals,
-    hybrids: Hybrids,
+    fits: Fits,
     compared: Comparison,
 ) -> Report:
     """A page to sign: comparison, parameters, singular values, residuals, training."""
     from kincal.pipeline.report.page import page
 
+    identified, learned, corrected = fits.identified, fits.transferred.fits[0], fits.hybrids.fits[0]
     return Report(
-        Html(page(model, measured.campaign, filtered, identified, pretrained, transferred, siblings, hybrids, compared))
+        Html(page(model, measured.campaign, filtered, identified, pretrained, learned, siblings, corrected, compared))
     )

@@ -1,11 +1,16 @@
-"""What several stages begin with: the error model of the robot as drawn, the poses in use, closed configurations."""
+"""What several stages begin with, one argument each: the robot as drawn, and the poses measured on it.
+
+Each is made of other stages' results and of settings, by the names of its fields.
+"""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING
 
-from kincal.pipeline.results import Filtered, Model
-from kincal.urdf.description import Actuator, Sensor, Split, Tolerance
+from kincal.pipeline.results import Bundle, Filtered, Model
+from kincal.urdf.description import Actuator, RobotDescription, Sensor, Split, Tolerance
 
 if TYPE_CHECKING:
     import numpy as np
@@ -15,25 +20,51 @@ if TYPE_CHECKING:
     from kincal.urdf.kinematics import Closure
 
 
-def error_model(model: Model, tolerance: Tolerance, actuator: dict[str, Actuator]) -> ErrorModel:
-    """Of the robot as drawn."""
-    from kincal.identification.error_model import ErrorModel
+@dataclass(frozen=True)
+class DrawnRobot(Bundle):
+    """The robot as drawn, and how far it may be from its drawing."""
 
-    return ErrorModel.of(model.chain(), actuator, tolerance)
+    model: Model
+    tolerance: Tolerance
+    actuator: dict[str, Actuator]
+
+    @classmethod
+    def of(cls, model: Model, description: RobotDescription) -> DrawnRobot:
+        return cls(model, description.tolerance, description.actuator)
+
+    @cached_property
+    def errors(self) -> ErrorModel:
+        from kincal.identification.error_model import ErrorModel
+
+        return ErrorModel.of(self.model.chain(), self.actuator, self.tolerance)
+
+    def closed(self, u: np.ndarray, name: str) -> tuple[Closure, np.ndarray]:
+        """With its tool at u (n, 6), and the readings there. Raises InputError that begins with `name` and the row."""
+        from kincal.urdf.kinematics import inverse
+
+        closure = inverse(self.errors.chain, u).require(lambda row: f"{name} {row}")
+        return closure, self.errors.actuators.readings(closure.q[:, self.errors.chain.actuated])
 
 
-def used_poses(filtered: Filtered, errors: ErrorModel, sensor: Sensor, split: Split, seed: int) -> Measurements:
-    """The measured poses, or as many of them as [split] asks for."""
-    from kincal.identification.measurements import to_measurements
-    from kincal.identification.poses import chosen
+@dataclass(frozen=True)
+class Poses(DrawnRobot):
+    """The measured poses with their weights, or as many of them as [split] asks for."""
 
-    poses = to_measurements(filtered.table, errors.chain.actuated_names, sensor)
-    return poses if split.poses is None else poses[chosen(len(poses), split.poses, seed)]
+    filtered: Filtered
+    sensor: Sensor
+    split: Split
+    seed: int
 
+    @classmethod
+    def measured_on(cls, model: Model, filtered: Filtered, description: RobotDescription) -> Poses:
+        d = description
+        return cls(model, d.tolerance, d.actuator, filtered, d.sensor, d.split, d.seed)
 
-def closed(errors: ErrorModel, u: np.ndarray, what: str) -> tuple[Closure, np.ndarray]:
-    """The robot as drawn with its tool at u (n, 6), and the readings there. Raises InputError that says `what` row."""
-    from kincal.urdf.kinematics import inverse
+    @cached_property
+    def measurements(self) -> Measurements:
+        from kincal.identification.measurements import to_measurements
+        from kincal.identification.poses import chosen
 
-    closure = inverse(errors.chain, u).require(lambda row: f"{what} {row}")
-    return closure, errors.actuators.readings(closure.q[:, errors.chain.actuated])
+        poses = to_measurements(self.filtered.table, self.errors.chain.actuated_names, self.sensor)
+        few = self.split.poses
+        return poses if few is None else poses[chosen(len(poses), few, self.seed)]
