@@ -30,13 +30,23 @@ def output(*words: str | Path, cwd: Path, **variables: str) -> str:
 
 def copy_of_checkout(folder: Path) -> Path:
     """Copy the files that git knows or would add, links as links: nothing that an earlier build left behind."""
-    listed = output("git", "ls-files", "-z", "--cached", "--others", "--exclude-standard", cwd=ROOT)
-    for name in filter(None, listed.split("\0")):
+    for name in _listed():
         source, target = ROOT / name, folder / name
         if source.is_symlink() or source.exists():
             target.parent.mkdir(parents=True, exist_ok=True)
             shutil.copy2(source, target, follow_symlinks=False)
     return folder
+
+
+def _listed() -> list[str]:
+    if (ROOT / ".git").exists():
+        listed = output("git", "ls-files", "-z", "--cached", "--others", "--exclude-standard", cwd=ROOT)
+        return [name for name in listed.split("\0") if name]
+    # the sources as an archive has them
+    parts = ("pyproject.toml", "README.md", "LICENSE", "src", "urdf", "identification", "learning", "pipeline")
+    found = [path for part in parts for path in (ROOT / part, *(ROOT / part).rglob("*"))]
+    kept = [path for path in found if path.is_symlink() or path.is_file()]
+    return [str(path.relative_to(ROOT)) for path in kept if not {"__pycache__", "kincal.egg-info"} & set(path.parts)]
 
 
 def build(kind: str, source: Path, folder: Path) -> Path:

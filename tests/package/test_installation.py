@@ -16,6 +16,7 @@ import pytest
 
 from kincal.version import __version__
 from tests.package.distributions import build, copy_of_checkout, hostile_folder, output, unpacked
+from tests.sources import ROOT
 
 PACKAGES = "packages_of_the_tests.pth"
 
@@ -162,8 +163,34 @@ def test_worker_processes_work_beside_modules_of_the_old_names(environment, host
     assert all(robot in printed for robot in robots)
 
 
-@pytest.mark.skip(reason="the interface is being written")
-def test_the_notebook_of_the_design(environment, hostile):
-    """The ten lines that a user types in a notebook, beside modules of the old names."""
-    notebook = ""  # to be filled in
-    output(environment.python, "-c", notebook, cwd=hostile)
+QUICK = """{"plan.poses": 24, "prior.poses": 64, "pretrain.iterations": 5, "transfer.iterations": 5,
+    "siblings.count": 2, "siblings.poses": 40, "siblings.iterations": 20}"""
+MORE = """
+table = kincal.sweep(robot, over={"plan.poses": [16, 24]}, seeds=2, workers=2, store=".kincal").medians
+assert len(table) == 12
+assert len(kincal.plan(robot, poses=20, layout="grid")) == 20
+assert set(calibration.compare().index) == {
+    "nominal", "geometric", "network", "transfer", "transfer_identified", "hybrid"
+}
+assert calibration.predict(data)["share"].between(0, 1).all()
+assert calibration.evaluate(kincal.measure(robot, seed=1), register=True).loc["geometric", "mean_deg"] < 0.1
+try:
+    kincal.identify(robot, data.drop(columns="leg1_slide"))
+except kincal.InputError as error:
+    assert "leg1_slide" in str(error)
+else:
+    raise AssertionError("a table without a joint was taken")
+"""
+
+
+def test_the_example_of_the_docs_runs(environment, hostile):
+    """The lines that a user types in a notebook, beside modules of the old names; on small settings."""
+    text = (ROOT / "docs" / "python.md").read_text()
+    example = re.search(r"```python\n(.*?)```", text, re.DOTALL)[1]
+    assert '{"plan.poses": 60}' in example
+    script = hostile / "notebook.py"
+    script.write_text(example.replace('{"plan.poses": 60}', QUICK) + MORE)
+    printed = output(environment.python, script, cwd=hostile, PYTHONPATH=".")
+    assert "hybrid" in printed
+    assert (hostile / "calibrated" / "robot.urdf").is_file()
+    assert "</html>" in (hostile / "report.html").read_text()

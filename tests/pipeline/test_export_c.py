@@ -45,7 +45,7 @@ def test_a_controllers_own_build(session, tmp_path):
     strict = ["-std=c99", "-pedantic", "-Wall", "-Werror", "-O1"]
     subprocess.run(["cc", *strict, *files, "-lm", "-o", str(tmp_path / "program")], check=True, timeout=60)
     found = calibrated(session.robot.description, session.until, "geometric")
-    method = found.methods()["geometric"]
+    method = found.methods["geometric"]
     readings = session.until("filter")[0].table[list(found.model.chain.actuated_names)].to_numpy(float)
     desired = method.predict(readings)
     rows = np.column_stack([desired.translation, quaternions(desired.rotation)])
