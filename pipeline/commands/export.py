@@ -3,22 +3,23 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import Annotated
 
+from cyclopts import Parameter
 from rich.text import Text
 
 from kincal.pipeline.commands.console import out, print_json
 from kincal.pipeline.commands.options import COMMON, Common, Flag, Robot, opened
+from kincal.pipeline.interface.calibration import export_formats
 from kincal.pipeline.interface.progress import err
 
-if TYPE_CHECKING:
-    from kincal.pipeline.interface.calibration import Exported, ExportedCode
+_FORMATS = "; ".join(f"{name}: {text}" for name, text in export_formats().items()) + "."
 
 
 def export(
     robot: Robot,
     *,
-    format: Literal["urdf", "json", "c"],
+    format: Annotated[str, Parameter(help=_FORMATS)],
     method: str | None = None,
     output: Path | None = None,
     force: Flag = False,
@@ -28,9 +29,6 @@ def export(
 
     Parameters
     ----------
-    format
-        urdf: a folder with robot.urdf, robot.toml and parameters.csv; json: one document; c: a folder with the
-        compensator for a controller, one C file with its header and a test program.
     method
         Of the compensator: hybrid (default) or geometric.
     output
@@ -38,33 +36,11 @@ def export(
     force
         Write also where something stands that export has not made.
     """
-    calibration = opened(robot, common)
-    if format == "c":
-        _show_code(calibration.export(output, format=format, method=method, force=force))
-        return
-    exported = calibration.export(output, format=format, method=method, force=force)
-    if format == "json" and output is None:
+    exported = opened(robot, common).export(output, format=format, method=method, force=force)
+    if exported.path is None:
         print_json(exported.document)
-    else:
-        _show_model(exported)
-
-
-def _show_model(exported: Exported) -> None:
+        return
     if exported.note:
         err.print(Text(f"note: {exported.note}", style="yellow"), soft_wrap=True)
-    within = f"within {exported.position:.1e} m and {exported.rotation:.1e} rad at {exported.n_checked} readings"
-    out.print(Text(f"{exported.path}: predicts as the identified model does, {within}"), soft_wrap=True)
-    if exported.target:
-        out.print(Text(f"what is measured: the pose of link {exported.target!r} in link {exported.instrument!r}"))
-
-
-def _show_code(exported: ExportedCode) -> None:
-    agreed = exported.agreement
-    within = f"within {agreed.command:.1e} m or rad of an actuator at {agreed.n_checked} poses"
-    out.print(Text(f"{exported.path}: commands as kincal compensate does, {within}"), soft_wrap=True)
-    out.print(Text(f"at most {exported.iterations} iterations a command, from any start"))
-    if exported.compiler is None:
-        note = (
-            "note: there is no C compiler here; the code's steps were compared as CasADi evaluates them, not compiled"
-        )
-        err.print(Text(note, style="yellow"), soft_wrap=True)
+    for line in exported.lines:
+        out.print(Text(line), soft_wrap=True)

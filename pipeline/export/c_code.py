@@ -18,7 +18,7 @@ from kincal.identification.measurements import quaternions
 from kincal.pipeline.compensator.code import code_name, sources
 from kincal.pipeline.compensator.compensator import Compensator
 from kincal.pipeline.compensator.library import Library
-from kincal.pipeline.export.export import TOLERANCE
+from kincal.pipeline.export.identified import TOLERANCE
 from kincal.pipeline.export.target import MADE_HERE, beside, check_folder_free
 from kincal.pipeline.methods.calibrated import CalibratedRobot
 from kincal.pipeline.methods.predictors import HybridMethod, ModelMethod
@@ -26,12 +26,11 @@ from kincal.pipeline.run.calibrated import calibrated
 from kincal.pipeline.run.runner import Run
 from kincal.pipeline.run.stage import version
 from kincal.urdf.description import Workspace
-from kincal.urdf.errors import CalibrationError, InputError
+from kincal.urdf.errors import CalibrationError
 from kincal.urdf.kinematics import inverse
 from kincal.urdf.rigid_motion import Motion
 from kincal.urdf.workspace import sample
 
-METHODS = ("geometric", "hybrid")
 _CHECKED = 300  # random poses of the workspace
 
 
@@ -53,16 +52,31 @@ class ExportedCode:
     agreement: Agreement
     compiler: str | None
     iterations: int  # of a command, at most
+    document: None = None
+
+    @property
+    def note(self) -> str:
+        if self.compiler is not None:
+            return ""
+        return "there is no C compiler here; the code's steps were compared as CasADi evaluates them, not compiled"
+
+    @property
+    def lines(self) -> tuple[str, ...]:
+        """For people, a sentence each."""
+        within = f"within {self.agreement.command:.1e} m or rad of an actuator at {self.agreement.n_checked} poses"
+        agrees = f"{self.path}: commands as kincal compensate does, {within}"
+        return agrees, f"at most {self.iterations} iterations a command, from any start"
 
 
-def export_code(session: Run, method: str = "hybrid", output: Path | None = None, force: bool = False) -> ExportedCode:
+def export(
+    session: Run, output: Path | None = None, force: bool = False, method: str | None = "hybrid"
+) -> ExportedCode:
     """The compensator as C in a folder (default: NAME_compensator).
 
     force: also into a folder that holds other things; those stay. Raises InputError for that and for methods without
     code, CalibrationError where the code does not say what the method says; then nothing is written.
     """
-    if method not in METHODS:
-        raise InputError(f"--method {method}: --format c has code for {' and '.join(METHODS)}")
+    assert method is not None
     description = session.robot.description
     output, name = output or Path(f"{description.name}_compensator"), code_name(description.name)
     marker = output / f"{name}.h"

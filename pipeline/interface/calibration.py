@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from dataclasses import asdict
 from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, overload
+from typing import TYPE_CHECKING, Any
 
 from kincal.pipeline.interface.campaign import Foresight
 from kincal.pipeline.interface.data import Data, Readings, raw_readings, raw_table, score_frame
@@ -23,8 +23,7 @@ from kincal.urdf.errors import InputError
 if TYPE_CHECKING:
     import pandas as pd
 
-    from kincal.pipeline.export.c_code import ExportedCode
-    from kincal.pipeline.export.export import Exported
+    from kincal.pipeline.export.formats import Export
     from kincal.pipeline.interface.campaign import Foresight
     from kincal.pipeline.interface.fit import Fit
     from kincal.pipeline.methods.calibrated import CalibratedRobot
@@ -284,34 +283,14 @@ class Calibration:
         trained_on = self._until("measure")[0].source
         return evaluated(calibrated, measured, source, trained_on=trained_on, register=register, rehome=rehome)
 
-    @overload
     def export(
         self,
         output: str | PathLike[str] | None = None,
         *,
-        format: Literal["urdf", "json"] = "urdf",
+        format: str = "urdf",
         method: str | None = None,
         force: bool = False,
-    ) -> Exported: ...
-
-    @overload
-    def export(
-        self,
-        output: str | PathLike[str] | None = None,
-        *,
-        format: Literal["c"],
-        method: str | None = None,
-        force: bool = False,
-    ) -> ExportedCode: ...
-
-    def export(
-        self,
-        output: str | PathLike[str] | None = None,
-        *,
-        format: Literal["urdf", "json", "c"] = "urdf",
-        method: str | None = None,
-        force: bool = False,
-    ) -> Exported | ExportedCode:
+    ) -> Export:
         """Write the calibrated robot for other programs. It is read back and checked before it is handed out.
 
         Parameters
@@ -328,30 +307,19 @@ class Calibration:
 
         Returns
         -------
-        Exported or ExportedCode
-            Where it was written, and how well it agrees with the identified model.
+        Export
+            `path`: where it was written. `document`: of json. `lines`: how well it agrees with the identified model.
 
         Raises
         ------
         InputError
-            The output is not free or can't be written; the method has no code; the robot has no URDF.
+            There is no such format; the output is not free or can't be written; the robot has no URDF.
         CalibrationError
             The export does not predict what the identified model predicts: nothing is written.
         """
-        file = None if output is None else Path(output)
-        if method is not None and format != "c":
-            raise InputError(f"--method {method}: --format {format} has none; allowed with --format c")
-        if format == "c":
-            from kincal.pipeline.export.c_code import export_code
+        from kincal.pipeline.export.formats import export
 
-            return export_code(self._session, method or "hybrid", file, force)
-        from kincal.pipeline.export.export import export_document, export_folder
-
-        if format == "json":
-            return export_document(self._session, file, force)
-        if format != "urdf":  # pyright: ignore[reportUnnecessaryComparison]
-            raise InputError(f"format: found {format!r}; allowed are 'urdf', 'json' and 'c'")
-        return export_folder(self._session, file, force)
+        return export(self._session, format, None if output is None else Path(output), force, method)
 
     def report(self, output: str | PathLike[str] | None = None) -> Path:
         """Write the report: one HTML page with comparison, parameters, residuals and provenance.
@@ -453,6 +421,13 @@ class Calibration:
 
     def __repr__(self) -> str:
         return f"Calibration({self.robot!r}, store={str(self.store)!r})"
+
+
+def export_formats() -> dict[str, str]:
+    """{format: what it writes}"""
+    from kincal.pipeline.export.formats import FORMATS
+
+    return {name: format.help for name, format in FORMATS.items()}
 
 
 def calibrate(

@@ -36,7 +36,7 @@ def versions(entries: Iterable[Entry] = (), libraries: Iterable[str] = ()) -> di
 
 
 def made_of(entries: Mapping[str, Entry], *stages: str) -> str:
-    """One line for a comment: the first digits of contents; `kincal verify --json` has the whole."""
+    """One line for a comment: the first digits of contents; `kincal cache verify --json` has the whole."""
     return "made of " + ", ".join(f"{name} {entries[name].digest[:12]}" for name in stages)
 
 

@@ -210,7 +210,7 @@ class Run:
             if entry is None:
                 why = explain(last, parts)
                 if self.store.freed(stage.name, digest(parts)):
-                    why += "; an earlier result of these was freed by `kincal gc`"
+                    why += "; an earlier result of these was freed by `kincal cache gc`"
                 yield stage.name, "missing" if last is None else "stale", why
             else:
                 self.entries[stage.name] = entry

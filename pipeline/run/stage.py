@@ -43,7 +43,7 @@ class Stage:
 
 def stage_of(function: Callable[..., Any], libraries: tuple[str, ...]) -> Stage:
     """A function of the stages' results, of settings, and of bundles of both."""
-    producer = {f.__annotations__["return"]: f.__name__ for f in STAGES}
+    producer = {f.__annotations__["return"]: f.__name__ for f in STAGES}  # in running order
     kinds: dict[str, str] = {}
     bundles: dict[str, type[Bundle]] = {}
     for name, parameter in inspect.signature(function).parameters.items():
@@ -53,7 +53,8 @@ def stage_of(function: Callable[..., Any], libraries: tuple[str, ...]) -> Stage:
             kinds |= _kinds_of(bundle)
         else:
             kinds[name] = parameter.annotation
-    inputs = {name: producer[kind] for name, kind in kinds.items() if kind in producer}
+    names = {kind: name for name, kind in kinds.items()}
+    inputs = {names[kind]: stage for kind, stage in producer.items() if kind in names}
     settings = tuple(name for name in kinds if name not in inputs)
     return Stage(function.__name__, function, inputs, settings, libraries, bundles)
 

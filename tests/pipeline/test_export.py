@@ -17,9 +17,12 @@ from scipy.optimize import root
 from scipy.spatial.transform import Rotation
 
 from kincal.identification.error_model import BuiltRobot
-from kincal.pipeline.export import export
-from kincal.pipeline.export.document import read_calibration
-from kincal.pipeline.export.export import Exported, IdentifiedRobot, export_document, export_folder, identified_robot
+from kincal.pipeline.export import document as json_document
+from kincal.pipeline.export import folder as written_folder
+from kincal.pipeline.export.calibration_json import read_calibration
+from kincal.pipeline.export.document import export as export_document
+from kincal.pipeline.export.folder import export as export_folder
+from kincal.pipeline.export.identified import Exported, IdentifiedRobot, identified_robot
 from kincal.pipeline.export.urdf import calibrated_urdf, require_urdf
 from kincal.pipeline.run.runner import Run
 from kincal.urdf.closed_chain import load_chain
@@ -546,19 +549,19 @@ def test_an_export_that_predicts_otherwise_is_not_handed_out(start, store, finis
     """A micrometre in what is written is noticed when it is read back."""
     run, _ = start(store, *finished.settings)
     if spoiled == "document":
-        honest = export.calibration_document
+        honest = json_document.calibration_document
 
         def document(*arguments):
             made = honest(*arguments)
             made["loops"][0]["frames"][0]["placement"]["xyz"][2] += 1e-6  # along the leg
             return made
 
-        monkeypatch.setattr(export, "calibration_document", document)
+        monkeypatch.setattr(json_document, "calibration_document", document)
         with pytest.raises(CalibrationError, match="differ"):
             export_document(run, tmp_path / "out")
     else:
         name = {"urdf": "calibrated_urdf", "zero": "exported_toml"}[spoiled]
-        honest = getattr(export, name)
+        honest = getattr(written_folder, name)
 
         def spoil(*arguments):
             made = honest(*arguments)
@@ -570,7 +573,7 @@ def test_an_export_that_predicts_otherwise_is_not_handed_out(start, store, finis
             assert text != made.text
             return type(made)(text, *list(vars(made).values())[1:])
 
-        monkeypatch.setattr(export, name, spoil)
+        monkeypatch.setattr(written_folder, name, spoil)
         with pytest.raises(CalibrationError):
             export_folder(run, tmp_path / "out")
     assert {p.name for p in tmp_path.iterdir()} == {"store"}

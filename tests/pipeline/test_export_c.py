@@ -10,7 +10,8 @@ import pytest
 from kincal.identification.compiled import find_compiler
 from kincal.identification.measurements import quaternions
 from kincal.pipeline.export import c_code as exported_c
-from kincal.pipeline.export.c_code import export_code
+from kincal.pipeline.export import formats
+from kincal.pipeline.export.c_code import export as export_code
 from kincal.pipeline.run.calibrated import calibrated
 from kincal.urdf.errors import CalibrationError, InputError
 
@@ -25,7 +26,7 @@ def session(start, finished, tmp_path_factory):
 
 
 def test_three_files_that_say_where_they_come_from(session, tmp_path):
-    exported = export_code(session, "hybrid", tmp_path / "code")
+    exported = export_code(session, tmp_path / "code", method="hybrid")
     assert {f.name for f in (tmp_path / "code").iterdir()} == NAMES
     assert [f.name for f in tmp_path.iterdir()] == ["code"]
     assert exported.agreement.command < 1e-9
@@ -40,7 +41,7 @@ def test_a_controllers_own_build(session, tmp_path):
     """C99, warnings are errors; what comes out are the method's commands."""
     if find_compiler() is None:
         pytest.skip("there is no C compiler here")
-    export_code(session, "geometric", tmp_path / "code")
+    export_code(session, tmp_path / "code", method="geometric")
     files = [str(tmp_path / "code" / f"kincal_ups3_s{end}.c") for end in ("", "_main")]
     strict = ["-std=c99", "-pedantic", "-Wall", "-Werror", "-O1"]
     subprocess.run(["cc", *strict, *files, "-lm", "-o", str(tmp_path / "program")], check=True, timeout=60)
@@ -58,27 +59,27 @@ def test_a_controllers_own_build(session, tmp_path):
 def test_where_it_may_write(session, tmp_path):
     """A folder of its own is replaced, another one only with --force, and then the rest of it stays."""
     folder = tmp_path / "code"
-    export_code(session, "geometric", folder)
-    export_code(session, "hybrid", folder)
+    export_code(session, folder, method="geometric")
+    export_code(session, folder, method="hybrid")
     assert "hybrid" in (folder / "kincal_ups3_s.h").read_text()
     other = tmp_path / "other"
     other.mkdir()
     (other / "mine.c").write_text("int mine;")
     with pytest.raises(InputError, match="was not made by kincal export"):
-        export_code(session, "geometric", other)
+        export_code(session, other, method="geometric")
     assert [f.name for f in other.iterdir()] == ["mine.c"]
-    export_code(session, "geometric", other, force=True)
+    export_code(session, other, method="geometric", force=True)
     assert {f.name for f in other.iterdir()} == NAMES | {"mine.c"}
     with pytest.raises(InputError, match="allowed is another one"):
-        export_code(session, "geometric", session.robot.file.parent)
+        export_code(session, session.robot.file.parent, method="geometric")
     with pytest.raises(InputError, match=r"--method transfer: --format c has code for geometric and hybrid"):
-        export_code(session, "transfer", tmp_path / "more")
+        formats.export(session, "c", tmp_path / "more", False, "transfer")
 
 
 def test_code_that_says_something_else_is_not_handed_out(session, tmp_path, monkeypatch):
     monkeypatch.setattr(exported_c, "TOLERANCE", 1e-20)
     with pytest.raises(CalibrationError, match=r"the code's commands differ by .*nothing was exported"):
-        export_code(session, "geometric", tmp_path / "code")
+        export_code(session, tmp_path / "code", method="geometric")
     assert not list(tmp_path.iterdir())
 
 
@@ -89,7 +90,7 @@ def test_code_that_the_compiler_refuses_is_not_handed_out(session, tmp_path, mon
     spoiled = lambda *a: {name: text + "\nsyntax error\n" for name, text in whole(*a).items()}  # noqa: E731
     monkeypatch.setattr(exported_c, "sources", spoiled)
     with pytest.raises(CalibrationError, match=r"refuses the code .*nothing was exported"):
-        export_code(session, "geometric", tmp_path / "code")
+        export_code(session, tmp_path / "code", method="geometric")
     assert not list(tmp_path.iterdir())
 
 

@@ -1,4 +1,4 @@
-"""`kincal gc`, `accept` and `verify`; and a run that loses what it has found."""
+"""`kincal cache gc`, `accept` and `verify`; and a run that loses what it has found."""
 
 import json
 import shutil
@@ -50,7 +50,7 @@ def test_gc_keeps_what_a_robot_used_last_and_frees_the_rest(cli, start, store, s
     still_served(store)
     assert cli("cache", "gc", "--store", store).out == "freed 0 (nothing), 0 bytes\n"
     rows = {stage: why for stage, _, why in start(store, "plan.poses=13")[0].status()}
-    assert rows["plan"] == "setting plan.poses 12 -> 13; an earlier result of these was freed by `kincal gc`"
+    assert rows["plan"] == "setting plan.poses 12 -> 13; an earlier result of these was freed by `kincal cache gc`"
 
 
 def test_gc_frees_what_was_damaged_unless_it_is_asked_not_to(start, store):
@@ -214,7 +214,7 @@ def session(start, store, refactored):
 
     def session(*overrides: str):
         run, events = start(store, "plan.poses=12", *overrides)
-        run._code, run.command = Code(refactored, memo=run.store.read_memo()), "kincal accept"
+        run._code, run.command = Code(refactored, memo=run.store.read_memo()), "kincal cache accept"
         return run, events
 
     return session
