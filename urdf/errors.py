@@ -1,4 +1,8 @@
-"""The two ways in which kincal says no."""
+"""The two ways in which kincal says no, and their kinds."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
 
 _LONGEST = 1000  # letters of a message: what was found may be a whole file
 
@@ -28,3 +32,58 @@ def one_line(message: str) -> str:
         message = message[: 5 * _LONGEST] + message[-5 * _LONGEST :]
     shown = "".join(c if c.isprintable() else "?" for c in " ".join(message.split()))
     return shown if len(shown) <= _LONGEST else f"{shown[: 3 * _LONGEST // 4]} ... {shown[-_LONGEST // 4 :]}"
+
+
+# Errors where a caller can act on more than the message.
+
+
+class UnknownNameError(InputError):
+    """A robot, a stage, a method or a format that does not exist.
+
+    Attributes
+    ----------
+    name
+        What was asked for.
+    allowed
+        The names that exist.
+    """
+
+    def __init__(self, message: str, name: str, allowed: Iterable[str]) -> None:
+        super().__init__(message)
+        self.name = name
+        self.allowed = tuple(allowed)
+
+
+class TableError(InputError):
+    """A table that cannot be used.
+
+    Attributes
+    ----------
+    column
+        The column that is missing or holds the value; None: the table as a whole.
+    row
+        The row of the value, from 0; None: no single one.
+    """
+
+    def __init__(self, message: str, column: str | None = None, row: int | None = None) -> None:
+        super().__init__(message)
+        self.column = column
+        self.row = row
+
+
+class UnreachablePoseError(InputError):
+    """A desired pose that the robot cannot reach.
+
+    Attributes
+    ----------
+    pose
+        Its number.
+    """
+
+    def __init__(self, message: str, pose: int) -> None:
+        super().__init__(message)
+        self.pose = pose
+
+
+class NotConvergedError(CalibrationError):
+    """An iteration that came to no end: the result would mean nothing."""

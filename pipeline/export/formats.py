@@ -10,7 +10,7 @@ from typing import Any, Protocol
 
 from kincal.pipeline.run.runner import Run
 from kincal.urdf.description import nearest
-from kincal.urdf.errors import InputError
+from kincal.urdf.errors import InputError, UnknownNameError
 
 
 class Export(Protocol):
@@ -58,7 +58,7 @@ FORMATS = {
 def export(session: Run, format: str, output: Path | None, force: bool, method: str | None) -> Export:
     """Write a calibrated robot in one of the formats. Raises InputError and CalibrationError."""
     if format not in FORMATS:
-        raise InputError(f"--format {format}: no such format; {nearest(format, FORMATS)}")
+        raise UnknownNameError(f"--format {format}: no such format; {nearest(format, FORMATS)}", format, FORMATS)
     chosen = FORMATS[format]
     if method is not None and not chosen.methods:
         allowed = ", ".join(f"--format {name}" for name, other in FORMATS.items() if other.methods)

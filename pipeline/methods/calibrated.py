@@ -18,7 +18,7 @@ from kincal.pipeline.methods.covariance import pose_covariance
 from kincal.pipeline.methods.predictors import METHODS, HybridMethod, Method, ModelMethod, build
 from kincal.pipeline.results import Corrected, Fit, Hybrids, Identified, Learned, Transferred
 from kincal.urdf.description import Measure, RobotDescription, nearest
-from kincal.urdf.errors import InputError
+from kincal.urdf.errors import InputError, UnknownNameError
 
 SURE = ("geometric", "hybrid")  # the methods that come with a covariance
 
@@ -97,7 +97,7 @@ class CalibratedRobot:
 def check_method(method: str) -> None:
     """Raises InputError where there is no such method."""
     if method not in METHODS:
-        raise InputError(f"--method {method}: no such method; {nearest(method, METHODS)}")
+        raise UnknownNameError(f"--method {method}: no such method; {nearest(method, METHODS)}", method, METHODS)
 
 
 @contextmanager

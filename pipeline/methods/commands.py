@@ -11,7 +11,7 @@ from kincal.pipeline.methods.predictors import Method
 from kincal.urdf.actuators import Actuators
 from kincal.urdf.closed_chain import ClosedChain
 from kincal.urdf.description import Workspace
-from kincal.urdf.errors import InputError
+from kincal.urdf.errors import UnreachablePoseError
 from kincal.urdf.kinematics import Closure, forward
 from kincal.urdf.rigid_motion import Motion
 from kincal.urdf.workspace import beyond_limits, condition_numbers
@@ -53,10 +53,10 @@ class Commands:
     obstacles: tuple[str, ...]  # (n,) why a pose can't be reached; empty where it can
 
     def check(self) -> None:
-        """Raises InputError that names the first pose that can't be reached."""
+        """Raises UnreachablePoseError that names the first pose that can't be reached."""
         for number, obstacle in zip(self.poses, self.obstacles, strict=True):
             if obstacle:
-                raise InputError(f"pose {number}{obstacle}")
+                raise UnreachablePoseError(f"pose {number}{obstacle}", int(number))
 
 
 def commands(

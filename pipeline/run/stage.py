@@ -11,7 +11,7 @@ from typing import Any
 
 from kincal.pipeline.results import Bundle
 from kincal.pipeline.stages.registry import STAGES
-from kincal.urdf.errors import InputError
+from kincal.urdf.errors import UnknownNameError
 
 
 @dataclass(frozen=True)
@@ -81,7 +81,7 @@ def needed(until: str) -> list[Stage]:
     """The stages that `until` rests on, itself included, in running order."""
     known = all_stages()
     if until not in known:
-        raise InputError(f"stage {until!r} does not exist; allowed: {', '.join(known)}")
+        raise UnknownNameError(f"stage {until!r} does not exist; allowed: {', '.join(known)}", until, known)
     wanted = {until}
     for name in reversed(list(known)):
         if name in wanted:
