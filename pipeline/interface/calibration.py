@@ -352,12 +352,12 @@ class Calibration:
             replace_file(file, published(report.html, self._session.entries))
         return file
 
-    def until(self, *stages: str) -> None:
+    def until(self, stage: str, *more: str) -> None:
         """Bring stages and all that they rest on up to date.
 
         Parameters
         ----------
-        stages
+        stage, more
             Their names: `status` lists them.
 
         Raises
@@ -367,10 +367,10 @@ class Calibration:
         """
         from kincal.pipeline.run.stage import needed
 
-        force_from, last = self._session.force_from, stages[-1]
-        if force_from is not None and force_from not in (stage.name for stage in needed(last)):
+        force_from, last = self._session.force_from, (stage, *more)[-1]
+        if force_from is not None and force_from not in (before.name for before in needed(last)):
             raise InputError(f"--force-from {force_from}: --until {last} does not need that stage")
-        self._until(*stages)
+        self._until(stage, *more)
 
     def document(self, stage: str = "evaluate") -> dict[str, Any]:
         """The document of `kincal run --until STAGE --json`: the comparison where the stage is `evaluate`.

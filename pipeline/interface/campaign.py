@@ -7,6 +7,7 @@ from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
+from kincal.pipeline.interface.arguments import number, one_of, path, whole_number
 from kincal.pipeline.interface.progress import StageObserver, stage_observer
 from kincal.pipeline.interface.robots import RobotLike, robot_of
 from kincal.pipeline.interface.sessions import opened
@@ -196,12 +197,17 @@ def plan(
     >>> kincal.plan("ups3_s", poses=12, layout="grid").poses["pose"].tolist()[:3]
     [0, 1, 2]
     """
-    from kincal.pipeline.planning.layouts import Wanted, check_output, plan_report
+    from kincal.pipeline.planning.layouts import LAYOUTS, Wanted, check_output, plan_report
     from kincal.pipeline.run.in_memory import InMemory
 
     if output is not None:
-        check_output(Path(output), force)
+        check_output(path("output", output), force)
     robot = robot_of(robot)
+    poses = None if poses is None else whole_number("poses", poses)
+    if layout is not None:
+        one_of("layout", layout, LAYOUTS)
+    accuracy_deg = None if accuracy_deg is None else number("accuracy_deg", accuracy_deg)
+    accuracy_mm = None if accuracy_mm is None else number("accuracy_mm", accuracy_mm)
     wanted = None if accuracy_deg is None and accuracy_mm is None else Wanted(accuracy_deg, accuracy_mm)
     if store is None:
         observe = stage_observer(progress, robot.description.name)

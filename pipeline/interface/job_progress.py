@@ -17,6 +17,7 @@ from rich.progress import (
 )
 from rich.text import Text
 
+from kincal.pipeline.interface.arguments import observer
 from kincal.pipeline.interface.progress import err
 from kincal.pipeline.run.fan_out import Failure, Outcome
 from kincal.pipeline.run.task_graph import Job, Task
@@ -121,6 +122,7 @@ def job_observer(
     progress: JobObserver, robot: str, labels: Mapping[Job, str], named: bool = False
 ) -> JobProgress | JobLog:
     """True stands for a bar on stderr. A context manager, to be called as `run_all` observes."""
+    observer(progress)
     if progress is True:
         return JobProgress(robot, labels, named)
     return JobLog(labels, progress or None)

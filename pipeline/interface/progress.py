@@ -12,6 +12,8 @@ from typing import TYPE_CHECKING, TypeAlias
 from rich.console import Console
 from rich.text import Text
 
+from kincal.pipeline.interface.arguments import observer
+
 if TYPE_CHECKING:
     from rich.status import Status
 
@@ -24,7 +26,8 @@ logger = logging.getLogger("kincal.pipeline")
 
 
 def stage_observer(progress: StageObserver, robot: str) -> Callable[[Event], None]:
-    """Tells the log, and whom the user names: True stands for lines on stderr, live in a terminal."""
+    """Tells the log, and whom the user names; True: lines on stderr, live in a terminal. Raises InputError."""
+    observer(progress)
     shown = StageProgress(robot) if progress is True else progress or None
 
     def observe(event: Event) -> None:

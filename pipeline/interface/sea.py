@@ -7,6 +7,8 @@ from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from kincal.urdf.errors import InputError
+
 if TYPE_CHECKING:
     from kincal.pipeline.interface.progress import StageObserver
     from kincal.pipeline.interface.robots import RobotLike
@@ -135,6 +137,8 @@ def sea_trial(
     from kincal.pipeline.sea.voyage import sail
     from kincal.urdf.description import validate
 
+    if options is not None and not isinstance(options, SeaOptions):  # pyright: ignore[reportUnnecessaryIsInstance]
+        raise InputError(f"options: found a {type(options).__name__}; allowed is kincal.SeaOptions(...)")
     session = opened(robot, store, progress, command)
     chosen = asdict(options or SeaOptions())
     if chosen["seed"] is None:

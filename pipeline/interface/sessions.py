@@ -7,6 +7,7 @@ import weakref
 from os import PathLike
 from pathlib import Path
 
+from kincal.pipeline.interface.arguments import path
 from kincal.pipeline.interface.progress import StageObserver, stage_observer
 from kincal.pipeline.interface.robots import RobotLike, robot_of
 from kincal.pipeline.run.runner import Run
@@ -31,7 +32,7 @@ def opened(
     if force_from is not None and force_from not in all_stages():
         raise InputError(f"--force-from {force_from}: no such stage; {nearest(force_from, all_stages())}")
     loaded = robot_of(robot)
-    folder = temporary_folder() if store is None else Path(store)
+    folder = temporary_folder() if store is None else path("store", store)
     session = Run(loaded, Store(folder), force_from, stage_observer(progress, loaded.description.name), command)
     if store is None:
         weakref.finalize(session, shutil.rmtree, folder, ignore_errors=True)

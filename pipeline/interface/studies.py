@@ -8,8 +8,9 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import TYPE_CHECKING, Any, TypeAlias, cast
 
+from kincal.pipeline.interface.arguments import path, whole_number
 from kincal.pipeline.interface.job_progress import JobObserver, job_observer
 from kincal.pipeline.interface.robots import RobotLike, Settings, overrides_of, robot_of
 from kincal.pipeline.interface.sessions import opened, temporary_folder
@@ -22,6 +23,7 @@ if TYPE_CHECKING:
     from kincal.pipeline.reproduce.page import Findings
     from kincal.pipeline.results import Comparison
     from kincal.pipeline.studies.fleet import Carried
+    from kincal.pipeline.studies.grid import Over as SweptKey
     from kincal.pipeline.studies.sweep import Swept
 
 Over: TypeAlias = "Mapping[str, Sequence[Any]] | Sequence[str]"
@@ -31,7 +33,7 @@ _COMMAND = "kincal in Python"
 @contextmanager
 def _folder(store: str | PathLike[str] | None) -> Generator[Path]:
     """The store of a study; None: a temporary one, removed at the end."""
-    folder = temporary_folder() if store is None else Path(store)
+    folder = temporary_folder() if store is None else path("store", store)
     try:
         yield folder
     finally:
@@ -150,15 +152,13 @@ def sweep(
     6
     """
     from kincal.pipeline.run.executor import place
-    from kincal.pipeline.studies.grid import over_of, parse_over
     from kincal.pipeline.studies.sweep import plan_sweep
     from kincal.pipeline.studies.sweep import sweep as swept_on
     from kincal.pipeline.studies.sweep_files import write
     from kincal.pipeline.studies.used import Used
 
-    where, loaded = place(str(workers)), robot_of(robot)
-    texts = isinstance(over, Sequence)
-    overs = [parse_over(text) for text in over] if texts else [over_of(k, v) for k, v in over.items()]
+    where, loaded, seeds = place(str(workers)), robot_of(robot), whole_number("seeds", seeds)
+    overs = _overs(over)
     with _folder(store) as root:
         grid, points = plan_sweep(loaded, overs, seeds, root, command)
         session = opened(loaded, root, command=command)
@@ -311,13 +311,24 @@ def fleet(
         return FleetResult(carried, until, table, None if folder is None else write_table(carried, table, folder))
 
 
+def _overs(over: Any) -> list[SweptKey]:
+    """Raises InputError."""
+    from kincal.pipeline.studies.grid import over_of, parse_over
+
+    if isinstance(over, Mapping):
+        return [over_of(key, values) for key, values in cast("Mapping[str, Any]", over).items()]
+    if isinstance(over, Sequence) and not isinstance(over, str):
+        return [parse_over(text) for text in cast("Sequence[str]", over)]
+    raise InputError(f'over: found {over!r}; allowed are {{"plan.poses": [20, 50]}} and texts, ["plan.poses=20,50"]')
+
+
 def _output(output: str | PathLike[str] | bool, in_store: Path) -> Path | None:
     """The folder of a study's files, tried before hours of work; None: none are wanted. Raises InputError."""
     from kincal.pipeline.store.files import output_folder
 
     if output is False:
         return None
-    return output_folder(None if output is True else Path(output), in_store)
+    return output_folder(None if output is True else path("output", output), in_store)
 
 
 def _compared(until: str) -> bool:
@@ -416,7 +427,8 @@ def reproduce(
     from kincal.pipeline.run.executor import place
     from kincal.pipeline.studies.used import Used
 
-    where, study, overrides, root = place(str(workers)), study_of(seeds), overrides_of(settings), Path(store)
+    where, study = place(str(workers)), study_of(whole_number("seeds", seeds))
+    overrides, root = overrides_of(settings), path("store", store)
     robot, jobs = plan(study, overrides, root, command)
     folder = _output(output, root)
     assert folder is not None

@@ -70,6 +70,10 @@ def select(robots: Sequence[str] | str | os.PathLike[str] | None) -> Selection:
         return _all(None if robots is None else Path(robots))
     if not robots:
         raise InputError("no robot: name one or more, or --all")
+    wrong = next((robot for robot in robots if not isinstance(robot, str | os.PathLike)), None)
+    if wrong is not None:
+        raise InputError(f"robots: found a {type(wrong).__name__}; allowed are names, paths, and FLEET.toml:UNIT")
+    robots = [os.fspath(robot) for robot in robots]
     found = [as_reference(robot) for robot in robots]
     repeated = next((r for r, f in zip(robots, found, strict=True) if found.count(f) > 1), None)
     if repeated is not None:

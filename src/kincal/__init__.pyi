@@ -10,7 +10,14 @@ from .pipeline.interface.studies import FleetResult, Reproduction, SweepResult, 
 from .pipeline.results import Comparison
 from .pipeline.run.runner import Event
 from .urdf.description import Robot
-from .urdf.errors import CalibrationError, InputError
+from .urdf.errors import (
+    CalibrationError,
+    InputError,
+    NotConvergedError,
+    TableError,
+    UnknownNameError,
+    UnreachablePoseError,
+)
 from .version import __version__
 
 __all__ = [
@@ -23,12 +30,16 @@ __all__ = [
     "Foresight",
     "InputError",
     "JobEvent",
+    "NotConvergedError",
     "Plan",
     "Reproduction",
     "Robot",
     "SeaOptions",
     "SeaTrialResult",
     "SweepResult",
+    "TableError",
+    "UnknownNameError",
+    "UnreachablePoseError",
     "__version__",
     "calibrate",
     "fleet",

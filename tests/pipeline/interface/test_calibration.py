@@ -276,3 +276,57 @@ def test_the_old_names_of_the_cache_commands_name_the_new_ones(cli):
         assert (answer.status, answer.out) == (2, "")
         assert answer.err == f"kincal: kincal {name}: write kincal cache {name}\n"
     assert "gc" in cli("cache", "--help").out
+
+
+BAD_ARGUMENTS = [
+    (lambda r: kincal.plan(r, poses="20"), "poses: found '20'; allowed is a whole number"),
+    (lambda r: kincal.plan(r, poses=20.5), "poses: found 20.5; allowed is a whole number"),
+    (lambda r: kincal.plan(r, poses=True), "poses: found True; allowed is a whole number"),
+    (lambda r: kincal.plan(r, layout="circle"), "layout: found 'circle'; allowed are 'grid', 'random', 'd_optimal'"),
+    (lambda r: kincal.plan(r, accuracy_deg="fine"), "accuracy_deg: found 'fine'; allowed is a number"),
+    (lambda r: kincal.plan(r, output=3), "output: found 3; allowed is a path"),
+    (lambda r: kincal.calibrate(r, store=5), "store: found 5; allowed is a path"),
+    (lambda r: kincal.identify(r, progress=5), "progress: found 5; allowed are True, False and a function"),
+    (lambda r: kincal.sweep(r, {"plan.poses": [12]}, seeds="a"), "seeds: found 'a'; allowed is a whole number"),
+    (lambda r: kincal.sweep(r, {"plan.poses": [12]}, workers=0), "--on 0: allowed is a number of worker processes"),
+    (lambda r: kincal.sweep(r, {"plan.poses": [12]}, progress="bar"), "progress: found 'bar'; allowed are True"),
+    (lambda r: kincal.sweep(r, over="plan.poses=12"), "over: found 'plan.poses=12'; allowed are"),
+    (lambda r: kincal.fleet([r]), "robots: found a Robot; allowed are names, paths, and FLEET.toml:UNIT"),
+    (lambda r: kincal.fleet(["ups3_s"], until="modl"), "stage 'modl' does not exist; allowed: model"),
+    (lambda r: kincal.reproduce(seeds=1.5), "seeds: found 1.5; allowed is a whole number"),
+    (lambda r: kincal.sea_trial(r, {"sea_state": 5}), "options: found a dict; allowed is kincal.SeaOptions(...)"),
+    (lambda r: kincal.measure(r, seed="a"), "measure.seed: found 'a'"),
+    (lambda r: kincal.measure(r, seed=-1), "measure.seed: found -1"),
+]
+
+
+@pytest.mark.parametrize("call, message", BAD_ARGUMENTS)
+def test_an_argument_of_the_wrong_kind(robot, call, message, tmp_path, monkeypatch):
+    """One line that says what is allowed, and nothing is left behind."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("TMPDIR", str(tmp_path / "temporary"))
+    (tmp_path / "temporary").mkdir()
+    monkeypatch.setattr("tempfile.tempdir", None)
+    with pytest.raises(kincal.InputError) as error:
+        call(robot)
+    assert message in str(error.value)
+    assert "\n" not in str(error.value)
+    del error
+    gc.collect()
+    assert [file.name for file in tmp_path.rglob("*")] == ["temporary"]
+
+
+def test_numbers_of_numpy_are_numbers(robot):
+    assert len(kincal.plan(robot, poses=np.int64(12), layout="grid", accuracy_deg=None)) == 12
+
+
+def test_errors_carry_what_a_caller_can_act_on(calibration, data):
+    with pytest.raises(kincal.UnknownNameError) as unknown:
+        calibration.predict(data, method="hybird")
+    assert unknown.value.name == "hybird"
+    assert "hybrid" in unknown.value.allowed
+    desired = data[["pose", "roll", "pitch", "yaw"]].iloc[:3].copy()
+    desired.loc[1, "roll"] = 1.4
+    with pytest.raises(kincal.UnreachablePoseError) as unreachable:
+        calibration.compensate(desired, strict=True)
+    assert unreachable.value.pose == 1
