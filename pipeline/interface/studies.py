@@ -22,9 +22,9 @@ if TYPE_CHECKING:
     from kincal.pipeline.report.tables import Table
     from kincal.pipeline.reproduce.page import Findings
     from kincal.pipeline.results import Comparison
-    from kincal.pipeline.studies.fleet import Carried
+    from kincal.pipeline.studies.fleet import Fleet
     from kincal.pipeline.studies.grid import Over as SweptKey
-    from kincal.pipeline.studies.sweep import Swept
+    from kincal.pipeline.studies.sweep import Sweep
 
 Over: TypeAlias = "Mapping[str, Sequence[Any]] | Sequence[str]"
 _COMMAND = "kincal in Python"
@@ -63,7 +63,7 @@ class SweepResult:
     (12, 2)
     """
 
-    swept: Swept
+    swept: Sweep
     files: tuple[Path, Path | None] | None = None
     provenance: Mapping[str, Any] = field(default_factory=dict[str, Any])
 
@@ -97,7 +97,7 @@ class SweepResult:
         return sweep_json(self.swept, table, figure) | {"provenance": dict(self.provenance)}
 
     def __repr__(self) -> str:
-        return f"SweepResult({self.swept.robot!r}, {self.swept.n_jobs} jobs, {len(self.swept.failures)} failed)"
+        return f"SweepResult({self.swept.robot!r}, {len(self.swept.outcomes)} jobs, {self.swept.n_failed} failed)"
 
 
 def sweep(
@@ -160,14 +160,13 @@ def sweep(
     where, loaded, seeds = place(str(workers)), robot_of(robot), whole_number("seeds", seeds)
     overs = _overs(over)
     with _folder(store) as root:
-        grid, points = plan_sweep(loaded, overs, seeds, root, command)
+        grid, study = plan_sweep(loaded, overs, seeds, root, command)
         session = opened(loaded, root, command=command)
         folder = _output(output, root / "robots" / session.robot_id)
-        valid = [p for p in points if not isinstance(p.robot, InputError)]
-        labels = {p.job: " ".join(f"{key}={value}" for key, value in p.values.items()) for p in valid}
-        with job_observer(progress, loaded.description.name, labels) as observe:
+        name = loaded.description.name
+        with job_observer(progress, name, study.labels) as observe:
             used = Used(observe)
-            swept = swept_on(grid, points, where, used)
+            swept = swept_on(name, grid, study, where, used)
         swept.table.attrs["provenance"] = used.provenance()
         result = SweepResult(swept, None, {"command": command} | used.provenance())
         if folder is None:
@@ -198,7 +197,7 @@ class FleetResult:
     ['ups3_s', 'rps3']
     """
 
-    carried: Carried
+    carried: Fleet
     until: str
     table: pd.DataFrame
     file: Path | None = None
@@ -295,16 +294,16 @@ def fleet(
     """
     from kincal.pipeline.run.executor import place
     from kincal.pipeline.run.stage import needed
-    from kincal.pipeline.studies.fleet import carry_all, plan_fleet, select
+    from kincal.pipeline.studies.fleet import Fleet, plan_fleet, select
     from kincal.pipeline.studies.fleet_table import fleet_table, stage_frame, write_table
 
     where, chosen = place(str(workers)), select(robots)
     needed(until)  # refuses a stage that does not exist
     with _folder(store) as root:
-        members = plan_fleet(chosen, overrides_of(settings), root, until, command)
+        study = plan_fleet(chosen, overrides_of(settings), root, until, command)
         folder = _output(output, root.absolute() / "fleets" / chosen.folder)
-        with job_observer(progress, chosen.name, {m.job: m.name for m in members}, named=True) as observe:
-            carried = carry_all(chosen.name, members, where, observe)
+        with job_observer(progress, chosen.name, study.labels, named=True) as observe:
+            carried = Fleet(chosen.name, study, tuple(study.run(where, observe)))
         if not _compared(until):
             return FleetResult(carried, until, stage_frame(carried))
         table = fleet_table(carried)
@@ -432,7 +431,7 @@ def reproduce(
     robot, jobs = plan(study, overrides, root, command)
     folder = _output(output, root)
     assert folder is not None
-    with job_observer(progress, robot.name, {job: str(point) for job, point in jobs.items()}) as observe:
+    with job_observer(progress, robot.name, jobs.labels) as observe:
         used = Used(observe)
         results = reproduced(study, robot, jobs, where, used)
     made = findings(results)

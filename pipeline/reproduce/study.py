@@ -12,10 +12,12 @@ import numpy as np
 from kincal.identification.channels import all_turns
 from kincal.pipeline.reproduce.pose_errors import PoseErrors, errors_of
 from kincal.pipeline.results import MethodScore
-from kincal.pipeline.run.executor import Place, executor
-from kincal.pipeline.run.fan_out import Failure, Job, Observe, Outcome, files_of, portable, run_all
+from kincal.pipeline.run.executor import Place
+from kincal.pipeline.run.fan_out import Job, Observe, Outcome, portable
+from kincal.pipeline.studies.study import Point as JobPoint
+from kincal.pipeline.studies.study import Study as JobStudy
 from kincal.urdf.description import RobotDescription, load_robot
-from kincal.urdf.errors import CalibrationError, InputError
+from kincal.urdf.errors import InputError
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -77,6 +79,13 @@ class Point:
 
 
 @dataclass(frozen=True)
+class Case(JobPoint):
+    """A job, and its place in the study."""
+
+    place: Point
+
+
+@dataclass(frozen=True)
 class Reproduced:
     """What came of it."""
 
@@ -135,7 +144,7 @@ def points(study: Study) -> list[Point]:
 
 def plan(
     study: Study, overrides: Sequence[str], store: Path, command: str = ""
-) -> tuple[RobotDescription, dict[Job, Point]]:
+) -> tuple[RobotDescription, JobStudy[Case]]:
     """The robot, and its jobs. Raises InputError, also for a setting that is not the user's to choose here."""
     for override in overrides:
         key = ".".join(part.strip() for part in override.partition("=")[0].split("."))
@@ -148,35 +157,31 @@ def plan(
             "reproduce scores the orientations of a virtual robot: measure.source must be virtual, and "
             'measure.channels must hold "orientation", or "tilt" and "yaw"'
         )
-    jobs = {
-        Job(file, (*portable(overrides), *point.overrides(study)), store.absolute(), "evaluate", command): point
-        for point in points(study)
-    }
-    return robot, jobs
+    shared, until = portable(overrides), "evaluate"
+    cases = []
+    for point in points(study):
+        job = Job(file, (*shared, *point.overrides(study)), store.absolute(), until, command)
+        cases.append(Case(str(point), job, load_robot(file, job.overrides).description, point))
+    return robot, JobStudy(tuple(cases))
 
 
 def reproduce(
     study: Study,
     robot: RobotDescription,
-    jobs: Mapping[Job, Point],
+    jobs: JobStudy[Case],
     on: Place,
     observe: Observe = lambda task, outcome: None,
 ) -> Reproduced:
     """All jobs, on these workers. Raises CalibrationError where any fails: what the others found stays in the cache."""
-    robots = [load_robot(job.robot, job.overrides).description for job in jobs]
-    by_point = {point: job for job, point in jobs.items()}
-    with executor(on, next(iter(jobs)).store, files_of(list(jobs), robots)) as workers:
-        outcomes = run_all(list(jobs), robots, workers, observe)
-        failed = [(p, o) for p, o in zip(jobs.values(), outcomes, strict=True) if isinstance(o, Failure)]
-        if failed:
-            point, failure = failed[0]
-            raise CalibrationError(f"{len(failed)} of {len(jobs)} jobs failed, the first ({point}): {failure.error}")
-        futures = [workers.submit(errors_of, by_point[point]) for point in tables_points(study)]
+    by_place = {case.place: case.job for case in jobs.points}
+    with jobs.carried_out(on, observe) as (workers, outcomes):
+        jobs.check(outcomes)
+        futures = [workers.submit(errors_of, by_place[point]) for point in tables_points(study)]
         errors = tuple(future.result() for future in futures)
     rows = []
-    for point, outcome in sorted(zip(jobs.values(), outcomes, strict=True), key=lambda pair: _place(pair[0])):
+    for case, outcome in sorted(zip(jobs.points, outcomes, strict=True), key=lambda pair: _place(pair[0].place)):
         assert isinstance(outcome, Outcome)
-        rows += _rows(point, outcome)
+        rows += _rows(case.place, outcome)
     return Reproduced(study, robot, tuple(rows), *zip(*errors, strict=True))
 
 

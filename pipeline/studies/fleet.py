@@ -7,11 +7,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from kincal.pipeline.run.executor import Place, executor
-from kincal.pipeline.run.fan_out import Failure, Job, Observe, Outcome, files_of, portable, run_all
+from kincal.pipeline.run.fan_out import Failure, Job, Outcome, portable
 from kincal.pipeline.store.digests import digest
-from kincal.urdf.description import ROBOTS, Robot
-from kincal.urdf.errors import CalibrationError, InputError
+from kincal.pipeline.studies.study import Point, Study
+from kincal.urdf.description import ROBOTS
+from kincal.urdf.errors import InputError
 from kincal.urdf.fleet import as_reference, is_unit, load, references
 from kincal.urdf.input_files import is_missing
 
@@ -30,38 +30,31 @@ class Selection:
 
 
 @dataclass(frozen=True)
-class Member:
-    """A robot of the fleet, and its job; or why it can't have one."""
+class Member(Point):
+    """A robot of the fleet."""
 
     reference: str  # as other commands take it
-    job: Job
-    robot: Robot | InputError
 
     @property
     def name(self) -> str:
-        if isinstance(self.robot, InputError):
-            return self.reference.rpartition(":")[2] if is_unit(self.reference) else self.reference
-        return self.robot.description.name
+        return self.label
 
 
 @dataclass(frozen=True)
-class Carried:
+class Fleet:
     """What came of a fleet, member by member."""
 
     name: str
-    members: tuple[Member, ...]
+    study: Study[Member]
     outcomes: tuple[Outcome | Failure, ...]
+
+    @property
+    def members(self) -> tuple[Member, ...]:
+        return self.study.points
 
     def check(self) -> None:
         """Raises InputError where all robots were bad input, CalibrationError where any failed otherwise."""
-        pairs = zip(self.members, self.outcomes, strict=True)
-        failed = [(member, came.error) for member, came in pairs if isinstance(came, Failure)]
-        if not failed:
-            return
-        (member, error), n = failed[0], len(self.members)
-        bad = len(failed) == n and all(isinstance(error, InputError) for _, error in failed)
-        said = f"{len(failed)} of {n} robots failed, the first ({member.name}): {error}"
-        raise (InputError if bad else CalibrationError)(said)
+        self.study.check(self.outcomes)
 
 
 def select(robots: Sequence[str] | str | os.PathLike[str] | None) -> Selection:
@@ -92,27 +85,16 @@ def _all(source: Path | None) -> Selection:
     return Selection(folder.name, tuple(found))
 
 
-def plan_fleet(chosen: Selection, overrides: Sequence[str], store: Path, until: str, command: str) -> list[Member]:
+def plan_fleet(chosen: Selection, overrides: Sequence[str], store: Path, until: str, command: str) -> Study[Member]:
     """Raises InputError where there is no valid robot at all."""
     members, shared = [], portable(overrides)
     for reference in chosen.references:
         job = Job(reference, shared, store.absolute(), until, command, noted=True)
         try:
-            robot: Robot | InputError = load(reference, shared)
+            robot = load(reference, shared).description
         except InputError as error:
-            robot = error
-        members.append(Member(reference, job, robot))
-    bad = members[0].robot
-    if isinstance(bad, InputError) and all(isinstance(m.robot, InputError) for m in members):
-        raise bad
-    return members
-
-
-def carry_all(name: str, members: Sequence[Member], on: Place, observe: Observe) -> Carried:
-    """All jobs, on these workers; a robot that fails leaves the others."""
-    valid = [(m, m.robot.description) for m in members if isinstance(m.robot, Robot)]
-    jobs, robots = [m.job for m, _ in valid], [robot for _, robot in valid]
-    with executor(on, jobs[0].store, files_of(jobs, robots)) as workers:
-        came = iter(run_all(jobs, robots, workers, observe))
-    outcomes = (next(came) if isinstance(m.robot, Robot) else Failure(m.robot) for m in members)
-    return Carried(name, tuple(members), tuple(outcomes))
+            name = reference.rpartition(":")[2] if is_unit(reference) else reference
+            members.append(Member(name, job, error, reference))
+        else:
+            members.append(Member(robot.name, job, robot, reference))
+    return Study(tuple(members), "robots")

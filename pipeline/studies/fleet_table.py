@@ -12,7 +12,7 @@ from kincal.pipeline.run.fan_out import Failure, Outcome
 from kincal.pipeline.store.files import replace_files
 from kincal.pipeline.store.manifest import Damaged
 from kincal.pipeline.store.store import Store
-from kincal.pipeline.studies.fleet import Carried
+from kincal.pipeline.studies.fleet import Fleet
 from kincal.pipeline.studies.rows import METHOD_NUMBERS, UNITS, method_rows, records
 from kincal.urdf.errors import CalibrationError
 
@@ -37,12 +37,12 @@ _FAMILY = {
 }
 
 
-def fleet_table(came: Carried) -> pd.DataFrame:
+def fleet_table(fleet: Fleet) -> pd.DataFrame:
     """One row a robot and method, columns of one type each; one row a robot that failed."""
     import pandas as pd
 
-    known, rows = _families(came), []
-    for k, (member, outcome) in enumerate(zip(came.members, came.outcomes, strict=True)):
+    known, rows = _families(fleet), []
+    for k, (member, outcome) in enumerate(zip(fleet.members, fleet.outcomes, strict=True)):
         own = {"robot": member.name, "reference": member.reference}
         error = outcome.error if isinstance(outcome, Failure) else known[k].get("lost")
         if error is not None:
@@ -54,17 +54,17 @@ def fleet_table(came: Carried) -> pd.DataFrame:
     return pd.DataFrame({name: pd.Series([r.get(name) for r in rows], dtype=kind) for name, kind in kinds.items()})
 
 
-def _families(came: Carried) -> dict[int, dict[str, Any]]:
+def _families(fleet: Fleet) -> dict[int, dict[str, Any]]:
     """{member: what its identification says beside the others of its design}."""
     from kincal.identification.family import memberships
 
     found: dict[int, dict[str, Any]] = defaultdict(dict)
     designs: dict[tuple[Any, ...], list[tuple[int, Identification]]] = defaultdict(list)
-    for k, outcome in enumerate(came.outcomes):
+    for k, outcome in enumerate(fleet.outcomes):
         if isinstance(outcome, Failure):
             continue
         try:
-            identified = _identification(Store(came.members[k].job.store), outcome)
+            identified = _identification(Store(fleet.members[k].job.store), outcome)
         except Damaged as damage:
             found[k]["lost"] = CalibrationError(f"{damage}: run it again")
             continue
@@ -149,42 +149,42 @@ def family_lines(table: pd.DataFrame) -> list[str]:
     ]
 
 
-def _counts(came: Carried) -> dict[str, Any]:
-    failed = sum(isinstance(outcome, Failure) for outcome in came.outcomes)
-    return {"fleet": came.name, "robots": len(came.members), "failed": failed}
+def _counts(fleet: Fleet) -> dict[str, Any]:
+    failed = sum(isinstance(outcome, Failure) for outcome in fleet.outcomes)
+    return {"fleet": fleet.name, "robots": len(fleet.members), "failed": failed}
 
 
-def _provenance(came: Carried) -> dict[str, Any]:
+def _provenance(fleet: Fleet) -> dict[str, Any]:
     """{reference: of its results}"""
-    pairs = zip(came.members, came.outcomes, strict=True)
+    pairs = zip(fleet.members, fleet.outcomes, strict=True)
     return {member.reference: outcome.provenance for member, outcome in pairs if isinstance(outcome, Outcome)}
 
 
-def fleet_json(came: Carried, table: pd.DataFrame, file: Path | None) -> dict[str, Any]:
+def fleet_json(fleet: Fleet, table: pd.DataFrame, file: Path | None) -> dict[str, Any]:
     """The document of `--json`."""
-    return _counts(came) | {
+    return _counts(fleet) | {
         "out_of_family": sorted(set(table["robot"][table["out_of_family"].fillna(False)])),
         "table": None if file is None else str(file),
         "rows": records(table),
-        "provenance": _provenance(came),
+        "provenance": _provenance(fleet),
     }
 
 
-def stage_frame(came: Carried) -> pd.DataFrame:
+def stage_frame(fleet: Fleet) -> pd.DataFrame:
     """One row a robot: robot, reference, state, error."""
     import pandas as pd
 
-    return pd.DataFrame(_stage_rows(came))
+    return pd.DataFrame(_stage_rows(fleet))
 
 
-def stage_json(came: Carried, until: str) -> dict[str, Any]:
+def stage_json(fleet: Fleet, until: str) -> dict[str, Any]:
     """The document of `--json` where not all stages were asked for."""
-    return _counts(came) | {"stage": until, "rows": _stage_rows(came), "provenance": _provenance(came)}
+    return _counts(fleet) | {"stage": until, "rows": _stage_rows(fleet), "provenance": _provenance(fleet)}
 
 
-def _stage_rows(came: Carried) -> list[dict[str, Any]]:
+def _stage_rows(fleet: Fleet) -> list[dict[str, Any]]:
     rows = []
-    for member, outcome in zip(came.members, came.outcomes, strict=True):
+    for member, outcome in zip(fleet.members, fleet.outcomes, strict=True):
         failed = isinstance(outcome, Failure)
         state, error = (None, str(outcome.error)) if failed else (outcome.passed[-1].state, None)
         rows.append({"robot": member.name, "reference": member.reference, "state": state, "error": error})
@@ -198,19 +198,19 @@ class _Shared(dict[str, Any]):
         return self
 
 
-def write_table(came: Carried, table: pd.DataFrame, folder: Path) -> Path:
+def write_table(fleet: Fleet, table: pd.DataFrame, folder: Path) -> Path:
     """fleet.parquet, with the robots' provenance; what stood there is replaced at once. Raises InputError."""
     file, told = folder / "fleet.parquet", table.copy(deep=False)
     # Without the command: the same results give the same bytes.
     told.attrs["provenance"] = _Shared(
         (name, {key: value for key, value in found.items() if key != "command"})
-        for name, found in _provenance(came).items()
+        for name, found in _provenance(fleet).items()
     )
     replace_files(folder, {file.name: told.to_parquet(index=False)}, f"fleet table {file}")
     return file
 
 
-def stage_table(came: Carried, until: str) -> Table:
+def stage_table(fleet: Fleet, until: str) -> Table:
     """Where not all stages were asked for: one row a robot."""
-    rows = tuple((row["robot"], row["state"] or f"failed: {row['error']}") for row in _stage_rows(came))
+    rows = tuple((row["robot"], row["state"] or f"failed: {row['error']}") for row in _stage_rows(fleet))
     return Table(("robot", until), rows)

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 from kincal.pipeline.report.tables import Table, fixed
 from kincal.pipeline.studies.rows import UNITS, records
-from kincal.pipeline.studies.sweep import Swept
+from kincal.pipeline.studies.sweep import Sweep
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -14,12 +14,12 @@ if TYPE_CHECKING:
 _DIGITS = {"mean_deg": 5, "mean_mm": 4}
 
 
-def medians(swept: Swept) -> pd.DataFrame:
+def medians(sweep: Sweep) -> pd.DataFrame:
     """One row a combination of swept values and method: jobs, median and quartiles of the mean errors over seeds."""
     import pandas as pd
 
-    table = swept.table[swept.table["method"].notna()]
-    groups = table.groupby([*swept.keys, "method"], sort=False)
+    table = sweep.table[sweep.table["method"].notna()]
+    groups = table.groupby([*sweep.keys, "method"], sort=False)
     columns = {"jobs": groups["seed"].size()}
     for mean in UNITS:
         for name, share in ((mean, 0.5), (f"{mean}_low", 0.25), (f"{mean}_high", 0.75)):
@@ -32,19 +32,19 @@ def measured_units(found: pd.DataFrame) -> list[str]:
     return [mean for mean in UNITS if any(found[mean].notna())]
 
 
-def median_tables(swept: Swept) -> list[tuple[str, Table]]:
+def median_tables(sweep: Sweep) -> list[tuple[str, Table]]:
     """For people: one row a combination of swept values, one column a method; what was not measured has no table."""
-    found = medians(swept)
+    found = medians(sweep)
     methods = list(dict.fromkeys(found["method"]))
-    n = len(set(swept.table["seed"][swept.table["method"].notna()]))
+    n = len(set(sweep.table["seed"][sweep.table["method"].notna()]))
     tables = []
     for mean in measured_units(found):
         rows: dict[tuple[str, ...], dict[str, str]] = {}
         for row in records(found):
-            label = tuple(str(row[key]) for key in swept.keys) or (swept.robot,)
+            label = tuple(str(row[key]) for key in sweep.keys) or (sweep.robot,)
             cells = rows.setdefault(label, {"jobs": str(row["jobs"])})
             cells[row["method"]] = fixed(row[mean], _DIGITS[mean])
-        columns = (*(swept.keys or ["robot"]), "jobs", *methods)
+        columns = (*(sweep.keys or ["robot"]), "jobs", *methods)
         lines = tuple((*label, cells["jobs"], *(cells.get(m, "") for m in methods)) for label, cells in rows.items())
         title = f"median over {n} seed{'s' * (n > 1)} of the mean error [{UNITS[mean]}]"
         tables.append((title, Table(columns, lines)))

@@ -7,12 +7,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from kincal.pipeline.run.executor import Place, executor
-from kincal.pipeline.run.fan_out import Failure, Job, Observe, Outcome, files_of, portable, run_all
+from kincal.pipeline.run.executor import Place
+from kincal.pipeline.run.fan_out import Failure, Job, Observe, Outcome, portable
 from kincal.pipeline.studies.grid import Over, combinations
 from kincal.pipeline.studies.rows import METHOD_NUMBERS, method_rows
+from kincal.pipeline.studies.study import Point, Study
 from kincal.urdf.description import Robot, RobotDescription
-from kincal.urdf.errors import CalibrationError, InputError
+from kincal.urdf.errors import InputError
 from kincal.urdf.fleet import load
 
 if TYPE_CHECKING:
@@ -22,43 +23,39 @@ MOST_SEEDS = 10_000
 
 
 @dataclass(frozen=True)
-class Point:
-    """One job of the sweep: the values of the swept keys, and the robot that they make."""
+class SweepPoint(Point):
+    """The values of the swept keys, and the robot that they make."""
 
     values: Mapping[str, Any]
-    job: Job
-    robot: RobotDescription | InputError
 
 
 @dataclass(frozen=True)
-class Swept:
-    """What came of a sweep."""
+class Sweep:
+    """A grid and its jobs; and, once they have run, their table."""
 
     robot: str
     overs: tuple[Over, ...]
+    study: Study[SweepPoint]
+    outcomes: tuple[Outcome | Failure, ...]
     table: pd.DataFrame  # one row a job and method; one row a job that failed
-    failures: tuple[tuple[Point, InputError | CalibrationError], ...]
-    n_jobs: int
 
     @property
     def keys(self) -> list[str]:
         """Of the grid, the seed aside: results are summed up over it."""
         return [over.key for over in self.overs if over.key != "seed"]
 
+    @property
+    def n_failed(self) -> int:
+        return sum(isinstance(outcome, Failure) for outcome in self.outcomes)
+
     def check(self) -> None:
         """Raises InputError where all jobs were bad input, CalibrationError where any failed otherwise."""
-        if not self.failures:
-            return
-        point, error = self.failures[0]
-        where = ", ".join(f"{key}={value}" for key, value in point.values.items())
-        said = f"{len(self.failures)} of {self.n_jobs} jobs failed, the first ({where}): {error}"
-        bad = all(isinstance(error, InputError) for _, error in self.failures)
-        raise (InputError if bad and len(self.failures) == self.n_jobs else CalibrationError)(said)
+        self.study.check(self.outcomes)
 
 
 def plan_sweep(
     robot: Robot, over: Sequence[Over], seeds: int, store: Path, command: str = ""
-) -> tuple[tuple[Over, ...], list[Point]]:
+) -> tuple[tuple[Over, ...], Study[SweepPoint]]:
     """The grid and its jobs. Raises InputError, also where no job has a valid robot."""
     if not 1 <= seeds <= MOST_SEEDS:
         raise InputError(f"--seeds {seeds}: allowed are 1 (the robot's own) to {MOST_SEEDS}")
@@ -72,11 +69,9 @@ def plan_sweep(
         own = tuple(o.overrides()[k] for o, k in zip(overs, places, strict=True))
         values = {o.key: o.values[k] for o, k in zip(overs, places, strict=True)}
         job = Job(robot.reference, (*robot.overrides, *portable(own)), store.absolute(), "evaluate", command)
-        points.append(Point(values, job, _loaded(job, own)))
-    bad = next((p.robot for p in points if isinstance(p.robot, InputError)), None)
-    if bad is not None and all(isinstance(p.robot, InputError) for p in points):
-        raise bad
-    return overs, points
+        label = ", ".join(f"{key}={value}" for key, value in values.items())
+        points.append(SweepPoint(label, job, _loaded(job, own), values))
+    return overs, Study(tuple(points))
 
 
 def _loaded(job: Job, own: Sequence[str]) -> RobotDescription | InputError:
@@ -89,24 +84,14 @@ def _loaded(job: Job, own: Sequence[str]) -> RobotDescription | InputError:
         return InputError(said)
 
 
-def sweep(overs: tuple[Over, ...], points: Sequence[Point], on: Place, observe: Observe) -> Swept:
+def sweep(robot: str, overs: tuple[Over, ...], study: Study[SweepPoint], on: Place, observe: Observe) -> Sweep:
     """All jobs, on these workers. A job that fails is a row; what is neither bad input nor a failed check is raised."""
-    valid = [(point, point.robot) for point in points if isinstance(point.robot, RobotDescription)]
-    jobs, robots = [point.job for point, _ in valid], [robot for _, robot in valid]
-    with executor(on, jobs[0].store, files_of(jobs, robots)) as workers:
-        came = run_all(jobs, robots, workers, observe)
-    outcomes = {id(point): outcome for (point, _), outcome in zip(valid, came, strict=True)}
-    rows, failures = [], []
-    for point in points:
-        outcome = Failure(point.robot) if isinstance(point.robot, InputError) else outcomes[id(point)]
-        if isinstance(outcome, Failure):
-            failures.append((point, outcome.error))
-        rows += _rows(point, outcome)
-    name = valid[0][1].name
-    return Swept(name, overs, _frame(name, overs, rows), tuple(failures), len(points))
+    outcomes = study.run(on, observe)
+    rows = [row for pair in zip(study.points, outcomes, strict=True) for row in _rows(*pair)]
+    return Sweep(robot, overs, study, tuple(outcomes), _frame(robot, overs, rows))
 
 
-def _rows(point: Point, outcome: Outcome | Failure) -> list[dict[str, Any]]:
+def _rows(point: SweepPoint, outcome: Outcome | Failure) -> list[dict[str, Any]]:
     seed = point.robot.seed if isinstance(point.robot, RobotDescription) else None
     own = {"seed": seed} | dict(point.values)
     if isinstance(outcome, Failure):

@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from kincal.pipeline.report.figures import STYLE, clean, quartile_line, svg
 from kincal.pipeline.studies.medians import measured_units, medians
 from kincal.pipeline.studies.rows import UNITS
-from kincal.pipeline.studies.sweep import Swept
+from kincal.pipeline.studies.sweep import Sweep
 from kincal.urdf.errors import one_line
 
 if TYPE_CHECKING:
@@ -20,11 +20,11 @@ if TYPE_CHECKING:
 _MOST_ROWS = 8  # combinations of the other swept values
 
 
-def drawing(swept: Swept, key: str) -> str:
+def drawing(sweep: Sweep, key: str) -> str:
     """An SVG whose bytes depend on the results alone. One column a unit, one row a combination of the other values."""
-    found = medians(swept)
+    found = medians(sweep)
     units = measured_units(found)
-    others = [other for other in swept.keys if other != key]
+    others = [other for other in sweep.keys if other != key]
     parts: list[tuple[Any, Any]] = list(found.groupby(others, sort=False)) if others else [((), found)]
     shown = parts[:_MOST_ROWS]
     with rc_context(STYLE):
@@ -39,10 +39,10 @@ def drawing(swept: Swept, key: str) -> str:
         for axes in panels[-1]:
             axes.set_xlabel(key)
         figure.legend(*panels[0][0].get_legend_handles_labels(), loc="outside lower center", ncols=6, frameon=False)
-        n = len(set(swept.table["seed"]))
+        n = len(set(sweep.table["seed"]))
         left_out = f"; the first {len(shown)} of {len(parts)} combinations" if len(parts) > len(shown) else ""
         of_seeds = f"median and quartiles over {n} seeds" if n > 1 else "one seed"
-        figure.suptitle(f"{swept.robot}: {of_seeds}{left_out}", fontsize=10)
+        figure.suptitle(f"{sweep.robot}: {of_seeds}{left_out}", fontsize=10)
         return svg(figure)
 
 

@@ -158,7 +158,7 @@ def test_the_study_is_the_papers():
     assert {p.n for p in found if p.planned == 216 and p.hidden == 16} == set(range(10, 211, 10))
     robot, jobs = plan(study, (), Path("store"))
     assert robot.name == "ups3_s"
-    closed = [p for job, p in jobs.items() if load_robot(job.robot, job.overrides).description.evaluate.closed_loop]
+    closed = [case.place for case in jobs.points if case.robot.evaluate.closed_loop]
     assert set(closed) == set(tables_points(study))
     assert all(a.seed != b.seed for a, b in pairwise(found))
 
