@@ -6,10 +6,10 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from kincal.identification.channels import all_turns, parts
+from kincal.identification.channels import scored
 from kincal.identification.error_model import ErrorModel
 from kincal.identification.predicted_accuracy import mean_length
-from kincal.pipeline.methods.covariance import pose_covariance, seen_from
+from kincal.pipeline.methods.covariance import pose_covariance
 from kincal.pipeline.methods.predictors import METHODS, HybridMethod, Method, ModelMethod
 from kincal.pipeline.results import Advice, Corrected, Fit, MethodScore
 
@@ -77,11 +77,12 @@ def _expected(
         return None
     assert isinstance(method, ModelMethod | HybridMethod)
     covariance = pose_covariance(model, fit, corrected, method, readings)
-    turned = covariance[:, :3, :3]
-    if not all_turns(channels):
-        turned = seen_from(turned, method.predict(readings).rotation[:, 2])
-    deg = float(np.rad2deg(np.mean(mean_length(turned)))) if "tilt" in parts(channels) else None
-    return deg, float(1e3 * np.mean(mean_length(covariance[:, 3:, 3:]))) if "position" in channels else None
+    rotation = method.predict(readings).rotation
+    mean = {
+        unit: channel.human[1] * float(np.mean(mean_length(channel.covariance(covariance, rotation))))
+        for unit, channel in scored(channels).items()
+    }
+    return mean.get("rad"), mean.get("m")
 
 
 def _power(curve: np.ndarray, method: str) -> float:
