@@ -4,17 +4,15 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping
-from typing import TYPE_CHECKING, Literal, Protocol
+from typing import Literal, Protocol
 
+import casadi as ca
 import numpy as np
+import pandas as pd
 
 from kincal.identification.identification import HUMAN
 from kincal.urdf.closed_chain import ClosedChain
 from kincal.urdf.rigid_motion import Motion
-
-if TYPE_CHECKING:
-    import casadi as ca
-    import pandas as pd
 
 UP = np.array([0.0, 0.0, 1.0])  # the vertical in the measurement frame
 
@@ -143,13 +141,8 @@ class Channel(ABC):
         """(n, n_out) of tool poses in the base frame."""
         raise NotImplementedError
 
-    def measured_outputs(
-        self, robot: Registered, values: np.ndarray, rotation: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """(n, n_out) of values, and the tool's orientations (n, 3, 3) as far as they are then known.
-
-        rotation: as they were known before, at first by the model.
-        """
+    def measured_outputs(self, robot: Registered, values: np.ndarray, rotation: np.ndarray) -> np.ndarray:
+        """(n, n_out) of values. rotation: (n, 3, 3) of the tool, as far as the model and other channels tell."""
         raise NotImplementedError
 
     def put(self, robot: Registered, y: np.ndarray, tool: Motion) -> Motion:

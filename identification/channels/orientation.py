@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from typing import TYPE_CHECKING
 
+import casadi as ca
 import numpy as np
+import pandas as pd
+from scipy.spatial.transform import Rotation
 
 from kincal.identification.channels.channel import Channel, Mistake, Registered
 from kincal.identification.channels.instrument import read_rotation
+from kincal.identification.symbolic_chain import rotation_vector
 from kincal.urdf.rigid_motion import Motion, exp, from_xyz_angles, log, xyz_angles
-
-if TYPE_CHECKING:
-    import casadi as ca
-    import pandas as pd
 
 QUATERNION = ("qx", "qy", "qz", "qw")
 EULER = ("rx", "ry", "rz")  # intrinsic XYZ [rad]
@@ -48,8 +47,6 @@ class _Orientation(Channel):
         return (int(bad[0]), f"the quaternion's length is {length[bad[0]]:.4g}; allowed is 1") if len(bad) else None
 
     def read(self, table: pd.DataFrame) -> np.ndarray:
-        from scipy.spatial.transform import Rotation
-
         return Rotation.from_quat(super().read(table)).as_matrix()
 
     def write(self, values: np.ndarray) -> dict[str, np.ndarray]:
@@ -59,10 +56,6 @@ class _Orientation(Channel):
         return pose.rotation
 
     def residual(self, rotation: ca.SX, translation: ca.SX, value: ca.SX) -> ca.SX:
-        import casadi as ca
-
-        from kincal.identification.symbolic_chain import rotation_vector
-
         return rotation_vector(ca.reshape(value, 3, 3).T @ rotation)
 
     def observed(self, values: np.ndarray) -> np.ndarray:
@@ -107,14 +100,10 @@ def orientation_error(actual: np.ndarray, predicted: np.ndarray) -> np.ndarray:
 
 def quaternions(rotation: np.ndarray) -> np.ndarray:
     """(n, 4) quaternions x, y, z, w of rotation matrices (n, 3, 3), with w >= 0."""
-    from scipy.spatial.transform import Rotation
-
     return Rotation.from_matrix(rotation).as_quat(canonical=True)
 
 
 def _reordered(rotation: np.ndarray, order: list[int]) -> np.ndarray:
-    from scipy.spatial.transform import Rotation
-
     return Rotation.from_quat(quaternions(rotation)[:, order]).as_matrix()
 
 

@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import TYPE_CHECKING
 
+import casadi as ca
 import numpy as np
 
 from kincal.identification.channels.channel import Channel, Mistake, Registered
 from kincal.urdf.rigid_motion import Motion
-
-if TYPE_CHECKING:
-    import casadi as ca
 
 
 class _Position(Channel):
@@ -47,12 +44,10 @@ class _Position(Channel):
         """From home along the base axes."""
         return tool.translation - robot.chain.home_pose.translation
 
-    def measured_outputs(
-        self, robot: Registered, values: np.ndarray, rotation: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray]:
+    def measured_outputs(self, robot: Registered, values: np.ndarray, rotation: np.ndarray) -> np.ndarray:
         """The target's lever arm is turned as the model (and the tilt) has it."""
         at = robot.instrument.inverse() @ Motion(np.eye(3), values)
-        return at.translation - rotation @ robot.target.translation - robot.chain.home_pose.translation, rotation
+        return at.translation - rotation @ robot.target.translation - robot.chain.home_pose.translation
 
     def put(self, robot: Registered, y: np.ndarray, tool: Motion) -> Motion:
         return Motion(tool.rotation, robot.chain.home_pose.translation + y)

@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import TYPE_CHECKING
 
+import casadi as ca
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from kincal.identification.channels.channel import UP, Channel, Mistake, Registered
 from kincal.identification.channels.instrument import read_angles
+from kincal.identification.symbolic_chain import wrapped
 from kincal.urdf.rigid_motion import Motion
-
-if TYPE_CHECKING:
-    import casadi as ca
 
 
 class _Tilt(Channel):
@@ -32,10 +31,6 @@ class _Tilt(Channel):
         return np.stack([np.arctan2(r[:, 2, 1], r[:, 2, 2]), -np.arcsin(np.clip(r[:, 2, 0], -1, 1))], axis=1)
 
     def residual(self, rotation: ca.SX, translation: ca.SX, value: ca.SX) -> ca.SX:
-        import casadi as ca
-
-        from kincal.identification.symbolic_chain import wrapped
-
         roll = ca.atan2(rotation[2, 1], rotation[2, 2])
         pitch = -ca.atan2(rotation[2, 0], ca.sqrt(rotation[2, 1] ** 2 + rotation[2, 2] ** 2))
         return ca.vertcat(wrapped(roll - value[0]), wrapped(pitch - value[1]))
@@ -72,11 +67,8 @@ class _Tilt(Channel):
         """Two coordinates of the vertical seen from the tool, turned so that home's is (0, 0, 1)."""
         return _vertical(robot, tool.rotation.swapaxes(1, 2) @ _up(robot))
 
-    def measured_outputs(
-        self, robot: Registered, values: np.ndarray, rotation: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray]:
-        y = _vertical(robot, vertical_in_target(values) @ robot.target.rotation.T)
-        return y, _tilted(robot, rotation, y)
+    def measured_outputs(self, robot: Registered, values: np.ndarray, rotation: np.ndarray) -> np.ndarray:
+        return _vertical(robot, vertical_in_target(values) @ robot.target.rotation.T)
 
     def put(self, robot: Registered, y: np.ndarray, tool: Motion) -> Motion:
         return Motion(_tilted(robot, tool.rotation, y), tool.translation)
@@ -107,8 +99,6 @@ def _up(robot: Registered) -> np.ndarray:
 
 def _to_home(robot: Registered) -> np.ndarray:
     """The turn that brings the vertical seen from the tool at home to (0, 0, 1)."""
-    from scipy.spatial.transform import Rotation
-
     vertical = robot.chain.home_pose.rotation.T @ _up(robot)
     return Rotation.align_vectors(UP[None], vertical[None])[0].as_matrix()
 
@@ -119,8 +109,6 @@ def _vertical(robot: Registered, seen: np.ndarray) -> np.ndarray:
 
 def _tilted(robot: Registered, rotation: np.ndarray, y: np.ndarray) -> np.ndarray:
     """The orientations nearest to `rotation` (n, 3, 3) that see the vertical where y says."""
-    from scipy.spatial.transform import Rotation
-
     upright = np.sqrt(np.maximum(1 - np.sum(y**2, axis=1, keepdims=True), 0.0))
     wanted = np.concatenate([y, upright], axis=1) @ _to_home(robot)
     seen = rotation.swapaxes(1, 2) @ _up(robot)

@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import TYPE_CHECKING
 
+import casadi as ca
 import numpy as np
 
 from kincal.identification.channels.channel import Channel, Mistake
 from kincal.identification.channels.instrument import read_angles
+from kincal.identification.symbolic_chain import wrapped
 from kincal.urdf.rigid_motion import Motion
-
-if TYPE_CHECKING:
-    import casadi as ca
 
 
 class _Yaw(Channel):
@@ -30,10 +28,6 @@ class _Yaw(Channel):
         return np.arctan2(pose.rotation[:, 1, 0], pose.rotation[:, 0, 0])
 
     def residual(self, rotation: ca.SX, translation: ca.SX, value: ca.SX) -> ca.SX:
-        import casadi as ca
-
-        from kincal.identification.symbolic_chain import wrapped
-
         return wrapped(ca.atan2(rotation[1, 0], rotation[0, 0]) - value)
 
     def mistakes(self) -> Iterator[Mistake]:

@@ -55,9 +55,10 @@ class Chart:
         """y of measured poses (n), given as `pose` in the measurement frame: the target task."""
         if self.full:
             return self.of_tool(self.robot.instrument.inverse() @ pose @ self.robot.target.inverse())
-        rotation, outputs = self.robot.close(measured.readings).pose.rotation, []
+        tool, outputs = self.robot.close(measured.readings).pose, []
         for channel in self._learned:
-            y, rotation = channel.measured_outputs(self.robot, measured.values[channel.name], rotation)
+            y = channel.measured_outputs(self.robot, measured.values[channel.name], tool.rotation)
+            tool = channel.put(self.robot, y, tool)
             outputs.append(y)
         return np.concatenate(outputs, axis=1)
 
