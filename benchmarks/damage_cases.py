@@ -349,7 +349,7 @@ def comments(clean: Clean, folder: Path) -> Cases:
         file.write_text(text)
 
 
-_CHANGES = (("kincal/identification/accuracy.py", "orientation_error"),)
+_CHANGES = (("kincal/identification/channels/orientation.py", "orientation_error"),)
 _DOUBLED = """
 
 _plain_{name} = {name}

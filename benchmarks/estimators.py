@@ -152,12 +152,12 @@ def _spoilt(measured: Measurements, share: float, seed: int) -> Measurements:
     rows = random.choice(len(measured), round(share * len(measured)), replace=False)
     values = {}
     for channel in measured.channels:
-        readings, sigma = getattr(measured, channel).copy(), getattr(measured, f"{channel}_std")[rows]
+        readings, sigma = measured.values[channel].copy(), measured.std[channel][rows]
         wrong = random.normal(size=(len(rows), readings.shape[-1]))
         wrong *= (WRONG * sigma / np.linalg.norm(wrong, axis=1))[:, None]
         readings[rows] = readings[rows] @ exp(wrong) if channel == "orientation" else readings[rows] + wrong
         values[channel] = readings
-    return Measurements(**{**measured.__dict__, **values})
+    return measured.replaced(**values)
 
 
 def _scored(at: Bench, robot: BuiltRobot, identified: BuiltRobot, fresh: Sites) -> tuple[float | None, float | None]:

@@ -55,10 +55,10 @@ def _errors(model, data, constraints: list, own: list) -> np.ndarray:
 
 def _channels(pose: pin.SE3, measured: Measurements, k: int):
     """Predicted less measured, and the sigma."""
-    if measured.orientation is not None:
-        yield pin.log3(measured.orientation[k].T @ pose.rotation), measured.orientation_std[k]
-    if measured.position is not None:
-        yield pose.translation - measured.position[k], measured.position_std[k]
+    if "orientation" in measured.values:
+        yield pin.log3(measured.values["orientation"][k].T @ pose.rotation), measured.std["orientation"][k]
+    if "position" in measured.values:
+        yield pose.translation - measured.values["position"][k], measured.std["position"][k]
 
 
 def solve(errors: ErrorModel, measured: Measurements, registered: Estimate) -> OptimizeResult:

@@ -106,8 +106,8 @@ def _row(errors: ErrorModel, p: np.ndarray, test: Measurements, train: Measureme
         scored.max_mm,
         scored.mean_deg,
         scored.max_deg,
-        1e3 * float(np.mean(sigmas.position_std)),
-        float(np.rad2deg(np.mean(sigmas.orientation_std))),
+        1e3 * float(np.mean(sigmas.std["position"])),
+        float(np.rad2deg(np.mean(sigmas.std["orientation"]))),
         float(np.max(np.abs(p / errors.parameters.tolerance))),
         seconds,
     )

@@ -6,28 +6,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from kincal.identification.channels import all_turns
-from kincal.urdf.rigid_motion import Motion, log
+from kincal.identification.channels import scored
+from kincal.identification.channels.orientation import orientation_error as orientation_error
+from kincal.identification.channels.tilt import gravity_error as gravity_error
+from kincal.urdf.rigid_motion import Motion
 
-
-def orientation_error(actual: np.ndarray, predicted: np.ndarray) -> np.ndarray:
-    """(n, 3) [rad]: the rotation vector of R_actual^-1 R_predicted.
-
-    For small errors the vector of its skew part (eq. 7 and 8), which it equals to third order; but half a turn is one.
-    """
-    return log(np.swapaxes(actual, -1, -2) @ predicted)
-
-
-def gravity_error(actual: np.ndarray, predicted: np.ndarray) -> np.ndarray:
-    """(n, 3) [rad]: the same between the verticals alone, seen from the tool; what tilt can tell. About z: 0 at level.
-
-    The vertical in the tool's frame is the orientation's third row; the error is the smallest rotation between the two.
-    """
-    first, second = actual[..., 2, :], predicted[..., 2, :]
-    axis = np.cross(second, first)
-    sine = np.linalg.norm(axis, axis=-1, keepdims=True)
-    cosine = np.sum(first * second, axis=-1, keepdims=True)
-    return axis * np.where(sine > 1e-12, np.arctan2(sine, cosine) / np.maximum(sine, 1e-12), 1.0)
+_Statistics = tuple[float | None, float | None, float | None]
 
 
 @dataclass(frozen=True)
@@ -44,22 +28,22 @@ class Score:
 
 
 def score(actual: Motion, predicted: Motion, channels: tuple[str, ...]) -> Score:
-    """Errors of predicted against actual poses (n), of what `channels` measured: orientation or tilt, and position.
+    """Errors of predicted against actual poses (n), of what `channels` measured: of angles and of lengths.
 
     Tilt without a heading is scored by the angle between the gravity directions, and about z there is nothing.
     """
-    full = all_turns(channels)
-    turned: tuple[float | None, float | None, float | None] = (None, None, None)
-    axes: list[float | None] = [None] * 3
-    if full or "tilt" in channels:
-        error = np.rad2deg((orientation_error if full else gravity_error)(actual.rotation, predicted.rotation))
-        turned = _statistics(np.linalg.norm(error, axis=1))
-        axes = [float(np.mean(np.abs(error[:, k]))) for k in range(3)]
-        axes[2] = axes[2] if full else None
-    moved: tuple[float | None, float | None, float | None] = (None, None, None)
-    if "position" in channels:
-        moved = _statistics(1e3 * np.linalg.norm(predicted.translation - actual.translation, axis=1))
-    return Score(*turned, dict(zip("xyz", axes, strict=True)), *moved)
+    turned: _Statistics = (None, None, None)
+    moved: _Statistics = (None, None, None)
+    axes: dict[str, float | None] = dict.fromkeys("xyz")
+    for unit, channel in scored(channels).items():
+        error = channel.error(actual, predicted)
+        if unit == "rad":
+            error = np.rad2deg(error)
+            turned = _statistics(np.linalg.norm(error, axis=1))
+            axes |= {axis: float(np.mean(np.abs(error[:, k]))) for k, axis in enumerate(channel.score_axes)}
+        else:
+            moved = _statistics(1e3 * np.linalg.norm(error, axis=1))
+    return Score(*turned, axes, *moved)
 
 
 def _statistics(values: np.ndarray) -> tuple[float, float, float]:

@@ -18,7 +18,7 @@ from kincal.identification.error_model import ErrorModel
 from kincal.identification.expected import Sites, feasible, information
 from kincal.identification.registration import MIN_POSES
 from kincal.identification.singular_values import svd
-from kincal.urdf.description import Channel, Sensor, Workspace
+from kincal.urdf.description import Sensor, Workspace
 from kincal.urdf.errors import InputError
 from kincal.urdf.workspace import bounds, grid, sample
 
@@ -66,7 +66,7 @@ def candidates(model: ErrorModel, workspace: Workspace, n: int, seed: int) -> Si
 
 
 def d_optimal(
-    model: ErrorModel, workspace: Workspace, channels: tuple[Channel, ...], sensor: Sensor, n: int, seed: int
+    model: ErrorModel, workspace: Workspace, channels: tuple[str, ...], sensor: Sensor, n: int, seed: int
 ) -> Sites:
     """n D-optimal poses for instruments of `channels` with one row's sigmas in `sensor`.
 

@@ -8,18 +8,20 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import replace
+from functools import partial
 from itertools import combinations
 
 import numpy as np
 
+from kincal.identification.channels import named
 from kincal.identification.error_model import ErrorModel, Parameters
 from kincal.identification.estimators import Estimate, register, registration_of
 from kincal.identification.identification import HUMAN
-from kincal.identification.measurements import Measurements, quaternions
+from kincal.identification.measurements import Measurements
 from kincal.identification.registration import MIN_POSES
 from kincal.identification.shrinkage import N_FRAMES, Linear, standardise
 from kincal.urdf.errors import CalibrationError, InputError
-from kincal.urdf.rigid_motion import Motion, log
+from kincal.urdf.rigid_motion import log
 
 _EXCESS = 25.0  # mean square of residuals over what tolerances and noise explain: beyond, a mistake is looked for
 _BETTER = 10.0  # a mistake explains the residuals if they are so much smaller without it
@@ -63,7 +65,7 @@ def likely_cause(model: ErrorModel, measured: Measurements, excess: float) -> st
         return ", or ".join(cause for size, cause in found if size < _ALIKE * least)
     for channel in measured.channels:
         others = tuple(c for c in measured.channels if c != channel)
-        if others not in ((), ("yaw",)) and _excess(model, measured, lambda m, c=others: m.only(c)) < limit:
+        if any(c.registers for c in named(others)) and _excess(model, measured, lambda m, c=others: m.only(c)) < limit:
             return f"{channel} contradicts {' and '.join(others)}: without it the measurements agree with the drawing"
     return ""
 
@@ -80,19 +82,20 @@ def _check_spread(model: ErrorModel, measured: Measurements) -> None:
         return  # registration says which
     turned = _turned(closure.pose.rotation)
     moved = np.linalg.norm(np.ptp(closure.pose.translation, axis=0)) + turned
-    if all((moved if c == "position" else turned) < _NOISE * _sigma(measured, c) for c in measured.channels):
+    spans = {c.name: moved if c.unit == "m" else turned for c in named(measured.channels)}
+    if all(span < _NOISE * _sigma(measured, c) for c, span in spans.items()):
         raise InputError(
             f"measurements: the poses differ by {np.rad2deg(turned):.2g} deg and {1e3 * moved:.2g} mm, no more than "
             "the sensors' noise: they excite nothing; measure poses all over the workspace"
         )
-    for channel in measured.channels:
-        values, span = getattr(measured, channel), moved if channel == "position" else turned
-        if span > _NOISE * _sigma(measured, channel) and np.ptp(values.reshape(n, -1), axis=0).max() == 0.0:
+    for channel, span in spans.items():
+        values = measured.values[channel].reshape(n, -1)
+        if span > _NOISE * _sigma(measured, channel) and np.ptp(values, axis=0).max() == 0.0:
             raise InputError(f"measurements: {channel} is the same at every pose, though the robot moves: is it stuck?")
 
 
 def _sigma(measured: Measurements, channel: str) -> float:
-    return float(np.median(getattr(measured, f"{channel}_std")))
+    return float(np.median(measured.std[channel]))
 
 
 def _turned(rotation: np.ndarray) -> float:
@@ -112,47 +115,21 @@ def _excess(model: ErrorModel, measured: Measurements, change: Callable | None =
 
 
 def _mistakes(model: ErrorModel, measured: Measurements) -> Iterator[_Mistake]:
-    if measured.position is not None:
-        yield "x, y, z are in millimetres, not metres (measure.columns gives a column's unit)", _times("position", 1e-3)
-        yield "x, y, z are a thousand times too small (measure.columns gives a column's unit)", _times("position", 1e3)
-    if measured.orientation is not None:
-        for order, how in (([1, 2, 3, 0], "w, x, y, z"), ([3, 2, 1, 0], "w, z, y, x")):
-            yield f"the columns qx, qy, qz, qw hold {how}", _reordered(order)
-        yield "the orientations are inverted (the instrument in the target's frame, or qw's sign)", _inverted
-    if measured.tilt is not None:
-        for how, matrix in (
-            ("pitch has the other sign (NMEA: positive bow up)", [[1, 0], [0, -1]]),
-            ("roll has the other sign", [[-1, 0], [0, 1]]),
-            ("roll and pitch are swapped", [[0, 1], [1, 0]]),
-        ):
-            yield how, lambda m, matrix=matrix: replace(m, tilt=m.tilt @ np.array(matrix, dtype=float))
-    if measured.yaw is not None:
-        yield "yaw has the other sign (a compass turns clockwise)", _times("yaw", -1.0)
-    for channel in ("tilt", "yaw"):
-        if channel in measured.channels:
-            yield f"{channel} is in degrees, not radians", _times(channel, np.pi / 180)
+    channels = sorted(named(measured.channels), key=lambda c: c.unit)  # lengths first
+    for channel in channels:
+        for how, change in channel.mistakes():
+            yield how, partial(_changed, channel.name, change)
+    for channel in channels:
+        if channel.column_unit == "rad":
+            degrees = partial(np.multiply, np.pi / 180)
+            yield f"{channel.name} is in degrees, not radians", partial(_changed, channel.name, degrees)
     names = model.chain.actuated_names
     for i, j in combinations(range(len(names)), 2):
         yield f"the columns {names[i]} and {names[j]} are swapped", _swapped(i, j)
 
 
-def _times(channel: str, factor: float) -> Callable[[Measurements], Measurements]:
-    return lambda m: replace(m, **{channel: getattr(m, channel) * factor})
-
-
-def _reordered(order: list[int]) -> Callable[[Measurements], Measurements]:
-    from scipy.spatial.transform import Rotation
-
-    def change(m: Measurements) -> Measurements:
-        assert m.orientation is not None
-        return replace(m, orientation=Rotation.from_quat(quaternions(m.orientation)[:, order]).as_matrix())
-
-    return change
-
-
-def _inverted(m: Measurements) -> Measurements:
-    assert m.orientation is not None
-    return replace(m, orientation=Motion(m.orientation, np.zeros((len(m), 3))).inverse().rotation)
+def _changed(channel: str, change: Callable[[np.ndarray], np.ndarray], m: Measurements) -> Measurements:
+    return m.replaced(**{channel: change(m.values[channel])})
 
 
 def _swapped(i: int, j: int) -> Callable[[Measurements], Measurements]:

@@ -16,9 +16,10 @@ from functools import lru_cache
 import casadi as ca
 import numpy as np
 
+from kincal.identification.channels import named
 from kincal.identification.compiled import PAYS, compiled
 from kincal.identification.measurements import Measurements
-from kincal.identification.symbolic_chain import after, joint_frames, loop_equations, rotation_vector, tool_placement
+from kincal.identification.symbolic_chain import after, joint_frames, loop_equations, tool_placement
 from kincal.urdf.actuators import Actuators
 from kincal.urdf.closed_chain import ClosedChain
 from kincal.urdf.description import Actuator, Tolerance
@@ -165,8 +166,8 @@ class ErrorModel:
         robot = self.robot(p)
         pose = robot.measured(robot.close(readings, q).pose)
         ones = np.ones(len(readings))
-        itself = Measurements(np.arange(len(ones)), readings, pose.rotation, pose.translation,
-                              orientation_std=ones, position_std=ones)  # fmt: skip
+        values = {"orientation": pose.rotation, "position": pose.translation}
+        itself = Measurements(np.arange(len(ones)), readings, values, dict.fromkeys(values, ones))
         return self._derivatives(robot, p, q, itself)[1]
 
     def _derivatives(
@@ -295,10 +296,8 @@ def _pack(rotation: np.ndarray, translation: np.ndarray) -> np.ndarray:
 def _observations(measured: Measurements) -> np.ndarray:
     """(n, columns): each channel's measured values and its sigma, in the order of `channels`."""
     columns = []
-    for channel in measured.channels:
-        values = getattr(measured, channel)
-        values = values.swapaxes(1, 2) if channel == "orientation" else values
-        columns += [values.reshape(len(measured), -1), getattr(measured, f"{channel}_std")[:, None]]
+    for channel in named(measured.channels):
+        columns += [channel.observed(measured.values[channel.name]), measured.std[channel.name][:, None]]
     return np.ascontiguousarray(np.concatenate(columns, axis=1), dtype=float)
 
 
@@ -333,27 +332,12 @@ def _symbolic(chain: ClosedChain, channels: tuple[str, ...], derivatives: bool) 
 
 def _residual(channels: tuple[str, ...], rotation: ca.SX, translation: ca.SX) -> tuple[ca.SX, ca.SX]:
     """Whitened residuals of one pose (predicted less measured), and the symbols of what was measured."""
-    sizes = {"orientation": 9, "tilt": 2, "yaw": 1, "position": 3}
     rows, symbols = [], []
-    for channel in channels:
-        value, sigma = ca.SX.sym(channel, sizes[channel]), ca.SX.sym(f"{channel}_std")
-        if channel == "orientation":  # rotation vector from measured to predicted, in the measured target's frame
-            row = rotation_vector(ca.reshape(value, 3, 3).T @ rotation)
-        elif channel == "position":
-            row = translation - value
-        elif channel == "tilt":  # of R = Rz(yaw) Ry(pitch) Rx(roll)
-            roll = ca.atan2(rotation[2, 1], rotation[2, 2])
-            pitch = -ca.atan2(rotation[2, 0], ca.sqrt(rotation[2, 1] ** 2 + rotation[2, 2] ** 2))
-            row = ca.vertcat(_wrapped(roll - value[0]), _wrapped(pitch - value[1]))
-        else:
-            row = _wrapped(ca.atan2(rotation[1, 0], rotation[0, 0]) - value)
-        rows.append(row / sigma)
+    for channel in named(channels):
+        value, sigma = ca.SX.sym(channel.name, channel.size), ca.SX.sym(f"{channel.name}_std")
+        rows.append(channel.residual(rotation, translation, value) / sigma)
         symbols += [value, sigma]
     return ca.vertcat(*rows), ca.vertcat(*symbols)
-
-
-def _wrapped(angle: ca.SX) -> ca.SX:
-    return ca.atan2(ca.sin(angle), ca.cos(angle))
 
 
 @lru_cache

@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
+from kincal.identification.channels import named
 from kincal.identification.error_model import ErrorModel, Parameters
 from kincal.identification.measurements import Measurements, default_channels
 from kincal.identification.poses import travel_order
 from kincal.urdf.closed_chain import ClosedChain
-from kincal.urdf.description import Channel, Instruments, Sensor, Workspace
+from kincal.urdf.description import Instruments, Sensor, Workspace
 from kincal.urdf.errors import InputError
 from kincal.urdf.kinematics import forward, inverse, tool_coordinates
 from kincal.urdf.workspace import condition_numbers
@@ -64,7 +65,7 @@ def all_feasible(model: ErrorModel, workspace: Workspace, u: np.ndarray, what: s
     return sites
 
 
-def of_one_row(instruments: Instruments, tool_axes: tuple[int, ...]) -> tuple[tuple[Channel, ...], Sensor]:
+def of_one_row(instruments: Instruments, tool_axes: tuple[int, ...]) -> tuple[tuple[str, ...], Sensor]:
     """What is measured, and the sigmas of a table's row.
 
     Where tilt and yaw come as streams, a row is the mean of a pose's samples.
@@ -83,7 +84,7 @@ def expected(
     p: np.ndarray,
     readings: np.ndarray,
     q: np.ndarray,
-    channels: tuple[Channel, ...],
+    channels: tuple[str, ...],
     sensor: Sensor,
 ) -> Measurements:
     """What instruments of `channels` with the sigmas of [sensor] see at these poses of the robot p, without noise.
@@ -92,19 +93,9 @@ def expected(
     """
     robot = model.robot(p)
     pose = robot.measured(robot.close(readings, q).pose)
-    r = pose.rotation
-    seen = {
-        "orientation": r,
-        "position": pose.translation,
-        "tilt": np.stack([np.arctan2(r[:, 2, 1], r[:, 2, 2]), -np.arcsin(np.clip(r[:, 2, 0], -1, 1))], axis=1),
-        "yaw": np.arctan2(r[:, 1, 0], r[:, 0, 0]),
-    }
-    n = len(readings)
-    return replace(
-        Measurements(np.arange(n), readings),
-        **{channel: seen[channel] for channel in channels},
-        **{f"{channel}_std": np.full(n, sensor.sigma(channel)) for channel in channels},
-    )
+    values = {c.name: c.of(pose) for c in named(channels)}
+    std = {c: np.full(len(readings), sensor.sigma(c)) for c in channels}
+    return Measurements(np.arange(len(readings)), readings, values, std)
 
 
 def prior_sigma(parameters: Parameters) -> np.ndarray:
@@ -112,7 +103,7 @@ def prior_sigma(parameters: Parameters) -> np.ndarray:
     return np.where(parameters.flat, FLAT, parameters.tolerance)
 
 
-def information(model: ErrorModel, sites: Sites, channels: tuple[Channel, ...], sensor: Sensor) -> np.ndarray:
+def information(model: ErrorModel, sites: Sites, channels: tuple[str, ...], sensor: Sensor) -> np.ndarray:
     """(n, rows a pose, n_parameters): whitened Jacobian J of planned poses, parameters in units of their prior's sigma.
 
     I + sum J'J is then the information after these poses. Of the robot as drawn, with W = T = 1.

@@ -15,18 +15,6 @@ HUMAN = {  # SI units, and those that people read
 
 
 @dataclass(frozen=True)
-class ResidualSize:
-    """Root mean square of what identification leaves, over poses; None: not measured."""
-
-    orientation_deg: float | None  # of the rotation vector's length
-    position_mm: float | None  # of the position error's length
-    tilt_deg: float | None
-    yaw_deg: float | None
-    prismatic_mm: float | None  # along each prismatic actuator: the change of its joint that explains the pose
-    revolute_deg: float | None
-
-
-@dataclass(frozen=True)
 class Outlier:
     pose: int
     reason: str
@@ -81,6 +69,8 @@ class Identification:
     message: str
     chi_square: float
     degrees_of_freedom: float  # rows less the effective number of parameters
-    residual_size: ResidualSize
+    # root mean square over poses of what identification leaves: the length of each channel's error, and the change of
+    # each actuated joint that explains the pose; None: not measured
+    residual_size: dict[str, float | None]
     outliers: tuple[Outlier, ...]
     findings: tuple[str, ...]  # what an engineer should know before signing

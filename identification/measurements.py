@@ -3,70 +3,64 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 
+from kincal.identification.channels import BY_ROWS, CHANNELS, named
+from kincal.identification.channels.orientation import quaternions as quaternions
 from kincal.identification.table_files import floats, load
 from kincal.urdf.actuators import Actuators
 from kincal.urdf.closed_chain import ClosedChain
-from kincal.urdf.description import Channel, Column, Measure, Sensor, Tolerance, listed, nearest
+from kincal.urdf.description import Column, Measure, Sensor, Tolerance, listed, nearest
 from kincal.urdf.errors import InputError
-from kincal.urdf.rigid_motion import Motion, from_xyz_angles, from_zyx_angles
+from kincal.urdf.rigid_motion import Motion, from_zyx_angles
 
 UNITS = {"m": 1.0, "mm": 1e-3, "rad": 1.0, "deg": np.pi / 180, "rev": 2 * np.pi, "1": 1.0}
-QUATERNION = ("qx", "qy", "qz", "qw")
-EULER = ("rx", "ry", "rz")  # intrinsic XYZ [rad], another way to give the orientation
-POSITION = ("x", "y", "z")
-TILT = ("roll", "pitch")
-ROWS = {"orientation": 3, "tilt": 2, "yaw": 1, "position": 3}  # residuals a pose, in this order
-_GROUPS = (QUATERNION, EULER, POSITION, TILT)
-_LENGTH_TOLERANCE = 5e-3  # of a quaternion: three printed decimals
+_GROUPS = tuple(group for c in CHANNELS for group in (c.columns, *c.other_columns))
 _LARGEST = 1e15  # a number beyond is no reading; below, whole numbers are exact and squares don't overflow
-_ALLOWED = "qx, qy, qz, qw; rx, ry, rz; x, y, z; roll, pitch; yaw"
+_ALLOWED = "; ".join(", ".join(group) for group in _GROUPS)
 
 
 @dataclass(frozen=True)
 class Measurements:
-    """n measured poses in the measurement frame, as arrays in SI units and radians. What was not measured is None.
+    """n measured poses in the measurement frame, as arrays in SI units and radians.
 
     readings: (n, n_actuated), as the actuators' encoders gave them, never corrected.
     """
 
     pose: np.ndarray  # (n,) the poses' numbers
     readings: np.ndarray
-    orientation: np.ndarray | None = None  # (n, 3, 3)
-    position: np.ndarray | None = None  # (n, 3) [m]
-    tilt: np.ndarray | None = None  # (n, 2) roll, pitch [rad]
-    yaw: np.ndarray | None = None  # (n,) [rad]
-    orientation_std: np.ndarray | None = None  # (n,) one sigma about each axis [rad]
-    position_std: np.ndarray | None = None  # (n,) [m]
-    tilt_std: np.ndarray | None = None  # (n,) [rad]
-    yaw_std: np.ndarray | None = None  # (n,) [rad]
+    values: Mapping[str, np.ndarray] = field(default_factory=dict)  # by channel; what was not measured is not there
+    std: Mapping[str, np.ndarray] = field(default_factory=dict)  # by channel: (n,) one sigma about or along each axis
     assumed: tuple[str, ...] = ()  # channels whose sigma nobody gave: a first guess, to be estimated
 
     def __len__(self) -> int:
         return len(self.readings)
 
     def __getitem__(self, rows) -> Measurements:
-        values = {k: v[rows] for k, v in self.__dict__.items() if isinstance(v, np.ndarray)}
-        return replace(self, **values)
+        values, std = ({c: v[rows] for c, v in of.items()} for of in (self.values, self.std))
+        return replace(self, pose=self.pose[rows], readings=self.readings[rows], values=values, std=std)
 
     def only(self, channels: Sequence[str]) -> Measurements:
         """Without the other channels."""
-        gone = {name: None for c in self.channels if c not in channels for name in (c, f"{c}_std")}
-        return replace(self, **gone, assumed=tuple(c for c in self.assumed if c in channels))
+        values, std = ({c: v for c, v in of.items() if c in channels} for of in (self.values, self.std))
+        return replace(self, values=values, std=std, assumed=tuple(c for c in self.assumed if c in channels))
+
+    def replaced(self, **values: np.ndarray) -> Measurements:
+        """With other values of some channels."""
+        return replace(self, values={**self.values, **values})
 
     def scaled(self, factors: Mapping[str, float]) -> Measurements:
         """The same readings with the sigmas of some channels multiplied: no longer assumed."""
-        sigmas = {f"{c}_std": getattr(self, f"{c}_std") * f for c, f in factors.items()}
-        return replace(self, **sigmas, assumed=tuple(c for c in self.assumed if c not in factors))
+        std = {c: sigma * factors[c] if c in factors else sigma for c, sigma in self.std.items()}
+        return replace(self, std=std, assumed=tuple(c for c in self.assumed if c not in factors))
 
     @property
     def rows_a_pose(self) -> int:
-        return sum(ROWS[c] for c in self.channels)
+        return sum(c.rows for c in named(self.channels))
 
     @property
     def rows(self) -> int:
@@ -75,23 +69,21 @@ class Measurements:
 
     def as_poses(self) -> Motion:
         """What was measured, as poses (n); what was not is the identity, and must not be scored."""
-        rotation, n = self.orientation, len(self)
+        rotation, n = self.values.get("orientation"), len(self)
         if rotation is None:
-            tilt = np.zeros((n, 2)) if self.tilt is None else self.tilt
-            yaw = np.zeros(n) if self.yaw is None else self.yaw
+            tilt, yaw = self.values.get("tilt", np.zeros((n, 2))), self.values.get("yaw", np.zeros(n))
             rotation = from_zyx_angles(np.column_stack([yaw, tilt[:, 1], tilt[:, 0]]))
-        return Motion(rotation, np.zeros((n, 3)) if self.position is None else self.position)
+        return Motion(rotation, self.values.get("position", np.zeros((n, 3))))
 
     @property
     def channels(self) -> tuple[str, ...]:
-        """What was measured, of orientation, tilt, yaw and position."""
-        return tuple(c for c in ROWS if getattr(self, c) is not None)
+        """What was measured, in the order of residuals."""
+        return tuple(c.name for c in BY_ROWS if c.name in self.values)
 
 
-def default_channels(tool_axes: tuple[int, ...]) -> tuple[Channel, ...]:
+def default_channels(tool_axes: tuple[int, ...]) -> tuple[str, ...]:
     """All that can move: orientation where the robot turns its tool, position where it carries it."""
-    moving: dict[Channel, tuple[int, ...]] = {"orientation": (3, 4, 5), "position": (0, 1, 2)}
-    return tuple(channel for channel, axes in moving.items() if set(axes) & set(tool_axes))
+    return tuple(c.name for c in CHANNELS if c.tool_axes & set(tool_axes))
 
 
 def read_table(file: Path, joints: Sequence[str], measure: Measure, measured: bool = True) -> pd.DataFrame:
@@ -110,8 +102,7 @@ def canonical_table(
     """
     if not len(raw):
         raise InputError(f"{file}: the table is empty; at least one row is needed")
-    known = ["pose", *joints, *(c for group in _GROUPS for c in group), "yaw"]
-    known += [f"{c}_std" for c in ("orientation", "position", "tilt", "yaw")]
+    known = ["pose", *joints, *(c for group in _GROUPS for c in group), *(f"{c.name}_std" for c in CHANNELS)]
     for name in measure.columns:
         if name not in known:
             raise InputError(
@@ -129,10 +120,8 @@ def canonical_table(
             raise InputError(f"{file}: column {column.source!r} ({name}) is missing; it has {has}")
     _check_groups(columns, file, measured)
     _check_rows(columns, file)
-    if all(c in columns for c in EULER):
-        euler = np.column_stack([columns.pop(c) for c in EULER])
-        if "qw" not in columns:
-            columns |= dict(zip(QUATERNION, quaternions(from_xyz_angles(euler)).T, strict=True))
+    for channel in CHANNELS:
+        columns = channel.canonical(columns)
     return pd.DataFrame(columns)
 
 
@@ -157,7 +146,7 @@ def _check_groups(columns: Mapping[str, np.ndarray], file: Path | str, measured:
         if found and len(found) < len(group):
             missing = ", ".join(c for c in group if c not in columns)
             raise InputError(f"{file}: it has {', '.join(found)}, but not {missing}; allowed is all of them or none")
-    if measured and not any(c in columns for c in ("qw", "rx", "x", "roll", "yaw")):
+    if measured and not any(c in columns for group in _GROUPS for c in group):
         raise InputError(f"{file}: nothing was measured; allowed are {_ALLOWED}")
 
 
@@ -173,11 +162,10 @@ def _check_rows(columns: dict[str, np.ndarray], file: Path | str) -> None:
     for name, values in columns.items():
         if name.endswith("_std"):
             _refuse(~(values > 0), file, name, values, "numbers greater than 0")
-    if "qw" in columns:
-        length = np.linalg.norm(np.column_stack([columns[c] for c in QUATERNION]), axis=1)
-        bad = np.flatnonzero(np.abs(length - 1) > _LENGTH_TOLERANCE)
-        if len(bad):
-            raise InputError(f"{file}: row {bad[0] + 1}: the quaternion's length is {length[bad[0]]:.4g}; allowed is 1")
+    for channel in CHANNELS:
+        wrong = channel.wrong_row(columns) if channel.columns[0] in columns else None
+        if wrong is not None:
+            raise InputError(f"{file}: row {wrong[0] + 1}: {wrong[1]}")
 
 
 def _refuse(bad: np.ndarray, file: Path | str, column: str, values: np.ndarray, allowed: str) -> None:
@@ -186,32 +174,13 @@ def _refuse(bad: np.ndarray, file: Path | str, column: str, values: np.ndarray, 
         raise InputError(f"{file}: column {column!r}, row {row + 1}: found {values[row]:g}; allowed are {allowed}")
 
 
-def quaternions(rotation: np.ndarray) -> np.ndarray:
-    """(n, 4) quaternions x, y, z, w of rotation matrices (n, 3, 3), with w >= 0."""
-    from scipy.spatial.transform import Rotation
-
-    return Rotation.from_matrix(rotation).as_quat(canonical=True)
-
-
 def to_measurements(table: pd.DataFrame, joints: Sequence[str], sensor: Sensor) -> Measurements:
     """The canonical table as arrays; sigmas come from its *_std columns, else from [sensor]."""
-    from scipy.spatial.transform import Rotation
-
-    values: dict[str, np.ndarray] = {}
-    if "qw" in table:
-        values["orientation"] = Rotation.from_quat(table[list(QUATERNION)].to_numpy(float)).as_matrix()
-    if "x" in table:
-        values["position"] = table[list(POSITION)].to_numpy(float)
-    if "roll" in table:
-        values["tilt"] = table[list(TILT)].to_numpy(float)
-    if "yaw" in table:
-        values["yaw"] = table["yaw"].to_numpy(float)
-    channels: tuple[Channel, ...] = tuple(values)  # pyright: ignore[reportAssignmentType]
-    for channel in channels:
-        name = f"{channel}_std"
-        values[name] = table[name].to_numpy(float) if name in table else np.full(len(table), sensor.sigma(channel))
-    assumed = tuple(c for c in channels if f"{c}_std" not in table and not sensor.given(c))
-    return Measurements(table["pose"].to_numpy(), table[list(joints)].to_numpy(float), **values, assumed=assumed)
+    values = {c.name: c.read(table) for c in CHANNELS if c.columns[0] in table}
+    given = {c: f"{c}_std" for c in values if f"{c}_std" in table}
+    std = {c: table[given[c]].to_numpy(float) if c in given else np.full(len(table), sensor.sigma(c)) for c in values}
+    assumed = tuple(c for c in values if c not in given and not sensor.given(c))
+    return Measurements(table["pose"].to_numpy(), table[list(joints)].to_numpy(float), values, std, assumed)
 
 
 def to_table(joints: Sequence[str], readings: np.ndarray, measured: Mapping[str, np.ndarray]) -> pd.DataFrame:

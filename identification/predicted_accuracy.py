@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 import scipy.linalg
 
-from kincal.identification.channels import all_turns
+from kincal.identification.channels import scored
 from kincal.identification.error_model import ErrorModel
 from kincal.identification.expected import Sites, prior_sigma
 
@@ -37,8 +37,8 @@ class PredictedAccuracy:
 class Probe:
     """Fresh poses, and how their predicted pose follows the parameters, in units of their prior's sigma."""
 
-    turned: np.ndarray | None  # (m, 3, n_parameters) [rad], in the target's frame
-    moved: np.ndarray | None  # (m, 3, n_parameters) [m]
+    turned: np.ndarray | None  # (m, k, n_parameters) [rad]
+    moved: np.ndarray | None  # (m, k, n_parameters) [m]
 
     @staticmethod
     def of(model: ErrorModel, sites: Sites, channels: tuple[str, ...]) -> Probe:
@@ -48,13 +48,10 @@ class Probe:
         """
         p = np.zeros(len(model.parameters))
         jacobian = model.pose_jacobian(p, sites.readings, sites.q) * prior_sigma(model.parameters)
-        turned = jacobian[:, :3]
-        if not all_turns(channels):
-            robot = model.robot(p)
-            up = robot.measured(robot.close(sites.readings, sites.q).pose).rotation[:, 2]  # the vertical in the target
-            turned = turned - up[:, :, None] * np.einsum("ni,nij->nj", up, turned)[:, None]
-        seen = "orientation" in channels or "tilt" in channels
-        return Probe(turned if seen else None, jacobian[:, 3:] if "position" in channels else None)
+        robot = model.robot(p)
+        rotation = robot.measured(robot.close(sites.readings, sites.q).pose).rotation
+        shown = {unit: channel.change(jacobian, rotation) for unit, channel in scored(channels).items()}
+        return Probe(shown.get("rad"), shown.get("m"))
 
     def accuracy(self, jacobian: np.ndarray) -> PredictedAccuracy:
         """After a plan with blocks `jacobian` (n, rows a pose, n_parameters), as `expected.information` gives them."""

@@ -13,6 +13,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from kincal.identification.channels import all_turns, named
+from kincal.identification.channels.channel import UP
+from kincal.identification.channels.tilt import vertical_in_target
 from kincal.identification.measurements import Measurements
 from kincal.urdf.errors import InputError
 from kincal.urdf.rigid_motion import Motion
@@ -22,7 +25,6 @@ _MOST = 2000  # poses a start is computed from
 _ALTERNATIONS = 50
 _ALONE = 3.0  # the smallest singular value stands alone when the next is this many times larger
 _CUBE = Rotation.create_group("O").as_matrix()
-_UP = np.array([0.0, 0.0, 1.0])
 
 
 @dataclass(frozen=True)
@@ -41,24 +43,24 @@ def starts(tool: Motion, measured: Measurements) -> list[tuple[Motion, Motion]]:
         raise InputError(f"measurements: {len(measured)} poses can't register W and T; at least {MIN_POSES} are needed")
     rows = np.linspace(0, len(measured) - 1, min(len(measured), _MOST)).astype(int)
     tool, measured = tool[rows], measured[rows]
-    rotation = _orientation(measured)
+    rotation, tilt, position = _orientation(measured), measured.values.get("tilt"), measured.values.get("position")
     if rotation is not None:
         found = _kronecker(rotation, tool.rotation)
         pairs = [found or _alternate(rotation, tool.rotation)]
-        if found is None and measured.position is not None:  # a tool that does not turn: its path tells W
+        if found is None and position is not None:  # a tool that does not turn: its path tells W
             pairs += [
                 (w, _procrustes(np.einsum("nji,kj,nkl->il", tool.rotation, w, rotation)))
-                for w, _ in _alternate_positions(measured.position, tool)
+                for w, _ in _alternate_positions(position, tool)
             ]
-    elif measured.tilt is not None:
-        up = vertical_in_target(measured)
+    elif tilt is not None:
+        up = vertical_in_target(tilt)
         pairs = [
             (turn @ instrument, target)
             for instrument, target in [_kronecker_tilt(up, tool.rotation) or _alternate_tilt(up, tool.rotation)]
-            for turn in (_about_gravity(8) if measured.position is not None else [np.eye(3)])
+            for turn in (_about_gravity(8) if position is not None else [np.eye(3)])
         ]
-    elif measured.position is not None:
-        pairs = _alternate_positions(measured.position, tool)
+    elif position is not None:
+        pairs = _alternate_positions(position, tool)
     else:  # a heading alone: nothing to hold on to
         pairs = [(np.eye(3), np.eye(3))]
     found = [_with_translations(pair, tool, measured) for pair in pairs]
@@ -67,19 +69,19 @@ def starts(tool: Motion, measured: Measurements) -> list[tuple[Motion, Motion]]:
 
 def instrument_starts(target: Motion, measured: Measurements) -> list[Motion]:
     """Starts for W alone, from target poses in the base frame (n) and what was measured there."""
-    rotation = _orientation(measured)
+    rotation, tilt, position = _orientation(measured), measured.values.get("tilt"), measured.values.get("position")
     if rotation is not None:
         turns = [_procrustes(np.einsum("nij,nkj->ik", rotation, target.rotation))]
-    elif measured.tilt is not None:
-        upright = _from_vertical(np.einsum("nij,nj->i", target.rotation, vertical_in_target(measured)))
-        turns = [turn @ upright for turn in _about_gravity(8 if measured.position is not None else 1)]
-    elif measured.position is not None:
-        turns = [_procrustes(_centred(measured.position).T @ _centred(target.translation))]
+    elif tilt is not None:
+        upright = _from_vertical(np.einsum("nij,nj->i", target.rotation, vertical_in_target(tilt)))
+        turns = [turn @ upright for turn in _about_gravity(8 if position is not None else 1)]
+    elif position is not None:
+        turns = [_procrustes(_centred(position).T @ _centred(target.translation))]
     else:
         turns = [np.eye(3)]
-    if measured.position is None:
+    if position is None:
         return [Motion(w, np.zeros(3)) for w in turns]
-    return [Motion(w, (measured.position - target.translation @ w.T).mean(axis=0)) for w in turns]
+    return [Motion(w, (position - target.translation @ w.T).mean(axis=0)) for w in turns]
 
 
 def _centred(points: np.ndarray) -> np.ndarray:
@@ -87,18 +89,7 @@ def _centred(points: np.ndarray) -> np.ndarray:
 
 
 def _orientation(measured: Measurements) -> np.ndarray | None:
-    if measured.orientation is not None:
-        return measured.orientation
-    if measured.tilt is not None and measured.yaw is not None:
-        return measured.as_poses().rotation
-    return None
-
-
-def vertical_in_target(measured: Measurements) -> np.ndarray:
-    """(n, 3): the vertical in the target's frame, the third row of its orientation."""
-    assert measured.tilt is not None
-    roll, pitch = measured.tilt.T
-    return np.stack([-np.sin(pitch), np.cos(pitch) * np.sin(roll), np.cos(pitch) * np.cos(roll)], axis=1)
+    return measured.as_poses().rotation if all_turns(measured.channels) else None
 
 
 def _procrustes(matrix: np.ndarray) -> np.ndarray:
@@ -142,7 +133,7 @@ def _alternate(measured: np.ndarray, tool: np.ndarray) -> tuple[np.ndarray, np.n
 
 def _from_vertical(vertical: np.ndarray) -> np.ndarray:
     """A rotation W with W^T e_z along `vertical` (in the base frame), turned as little as possible."""
-    return Rotation.align_vectors(_UP[None], vertical[None])[0].as_matrix()
+    return Rotation.align_vectors(UP[None], vertical[None])[0].as_matrix()
 
 
 def _kronecker_tilt(up: np.ndarray, tool: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
@@ -156,11 +147,11 @@ def _kronecker_tilt(up: np.ndarray, tool: np.ndarray) -> tuple[np.ndarray, np.nd
     sign = np.sign(np.linalg.det(smallest[:9].reshape(3, 3))) or 1.0
     vertical = sign * smallest[9:]
     length = np.linalg.norm(vertical)
-    return _from_vertical(vertical / length if length > 0 else _UP), _procrustes(sign * smallest[:9].reshape(3, 3))
+    return _from_vertical(vertical / length if length > 0 else UP), _procrustes(sign * smallest[:9].reshape(3, 3))
 
 
 def _alternate_tilt(up: np.ndarray, tool: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    best = (np.inf, _UP, np.eye(3))
+    best = (np.inf, UP, np.eye(3))
     for target in _CUBE:
         for _ in range(_ALTERNATIONS):
             vertical = np.einsum("nij,jk,nk->i", tool, target, up)
@@ -200,15 +191,12 @@ def _with_translations(pair, tool: Motion, measured: Measurements) -> tuple[floa
     """Both motions, and a cost by which starts are ordered: the weighted squares of all channels."""
     w, t = pair
     offset, shift = np.zeros(3), np.zeros(3)
-    if measured.position is not None:
-        offset, shift, _ = _translations(w, tool, measured.position)
+    if "position" in measured.values:
+        offset, shift, _ = _translations(w, tool, measured.values["position"])
     predicted = Motion(w, shift) @ tool @ Motion(t, offset)
     cost = 0.0
-    for channel, error in (
-        ("position", lambda: predicted.translation - measured.position),
-        ("orientation", lambda: (predicted.rotation - measured.orientation) / np.sqrt(2)),
-        ("tilt", lambda: predicted.rotation[:, 2] - vertical_in_target(measured)),
-    ):
-        if channel in measured.channels:
-            cost += float(np.sum(error() ** 2)) / np.mean(getattr(measured, f"{channel}_std")) ** 2
+    for channel in named(measured.channels):
+        error = channel.start_error(predicted, measured.values[channel.name])
+        if error is not None:
+            cost += float(np.sum(error**2) / np.mean(measured.std[channel.name]) ** 2)
     return cost, Motion(w, shift), Motion(t, offset)

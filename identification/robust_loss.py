@@ -14,7 +14,7 @@ from functools import lru_cache
 import numpy as np
 from scipy.special import chdtri, gamma
 
-from kincal.identification.measurements import ROWS
+from kincal.identification.channels import named
 
 _EFFICIENCY = 0.95
 _ORDINARY = 1e-4  # a good reading is longer with this probability: beyond, its own curvature counts
@@ -62,9 +62,9 @@ class Loss:
 def blocks(channels: tuple[str, ...]) -> Iterator[tuple[slice, int]]:
     """Each channel's rows of a pose, and how many."""
     row = 0
-    for channel in channels:
-        yield slice(row, row + ROWS[channel]), ROWS[channel]
-        row += ROWS[channel]
+    for channel in named(channels):
+        yield slice(row, row + channel.rows), channel.rows
+        row += channel.rows
 
 
 def _rho(kind: str, length: np.ndarray, c: float) -> np.ndarray:

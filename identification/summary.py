@@ -5,13 +5,14 @@ from __future__ import annotations
 import numpy as np
 from scipy.special import chdtr, chdtrc, chdtri
 
+from kincal.identification.channels import CHANNELS, named
 from kincal.identification.collinearity import collinearity
 from kincal.identification.diagnosis import moved_far
 from kincal.identification.error_model import ErrorModel
 from kincal.identification.estimators import Estimate
 from kincal.identification.identifiability import identifiability
-from kincal.identification.identification import Identification, Outlier, ResidualSize
-from kincal.identification.measurements import ROWS, Measurements
+from kincal.identification.identification import Identification, Outlier
+from kincal.identification.measurements import Measurements
 from kincal.identification.robust_loss import blocks
 from kincal.urdf.description import Identify
 
@@ -65,7 +66,7 @@ def summarise(
         collinearity=collinearity(registered.triangle, measured.rows, parameters),
         n_poses=len(measured),
         channels=measured.channels,
-        sensor_std={c: float(np.sqrt(np.mean(getattr(measured, f"{c}_std") ** 2))) for c in measured.channels},
+        sensor_std={c: float(np.sqrt(np.mean(measured.std[c] ** 2))) for c in measured.channels},
         sensor_estimated=dict(estimate.sigma_factors),
         estimator=settings.estimator,
         loss=settings.loss,
@@ -96,10 +97,10 @@ def _verdict(chi_square: float, freedom: float) -> tuple[str, ...]:
 
 def _residuals(
     model: ErrorModel, measured: Measurements, estimate: Estimate
-) -> tuple[ResidualSize, dict[str, np.ndarray]]:
+) -> tuple[dict[str, float | None], dict[str, np.ndarray]]:
     """Root mean squares, and each pose's error by channel [rad or m]."""
     sizes = {
-        channel: np.linalg.norm(estimate.residual[:, rows], axis=1) * getattr(measured, f"{channel}_std")
+        channel: np.linalg.norm(estimate.residual[:, rows], axis=1) * measured.std[channel]
         for channel, (rows, _) in zip(measured.channels, blocks(measured.channels), strict=True)
     }
     n = len(model.actuators.gain)
@@ -108,14 +109,9 @@ def _residuals(
     if measured.rows_a_pose >= n:  # the pose determines the actuators: which change of theirs explains the residual?
         by_zero = model.jacobian(estimate.p, measured, estimate.q, model.zeros)
         actuators = -(np.linalg.pinv(by_zero) @ estimate.residual[..., None])[..., 0]
-    size = ResidualSize(
-        orientation_deg=_rms(sizes.get("orientation"), 180 / np.pi),
-        position_mm=_rms(sizes.get("position"), 1e3),
-        tilt_deg=_rms(sizes.get("tilt"), 180 / np.pi),
-        yaw_deg=_rms(sizes.get("yaw"), 180 / np.pi),
-        prismatic_mm=_rms(actuators[:, prismatic], 1e3),
-        revolute_deg=_rms(actuators[:, ~prismatic], 180 / np.pi),
-    )
+    size = {c.field: _rms(sizes.get(c.name), c.human[1]) for c in CHANNELS}
+    size["prismatic_mm"] = _rms(actuators[:, prismatic], 1e3)
+    size["revolute_deg"] = _rms(actuators[:, ~prismatic], 180 / np.pi)
     return size, sizes
 
 
@@ -128,11 +124,11 @@ def _rms(values: np.ndarray | None, factor: float) -> float | None:
 def _outliers(measured: Measurements, by_channel: dict[str, np.ndarray]) -> tuple[Outlier, ...]:
     """Poses whose error is too large for a Gaussian of the width that the median tells."""
     found = []
-    for channel, size in by_channel.items():
-        factor, unit = (1e3, "mm") if channel == "position" else (180 / np.pi, "deg")
-        median, dimensions = float(np.median(size)), ROWS[channel]
-        limit = np.sqrt(chdtri(dimensions, _OUTLIER) / chdtri(dimensions, 0.5))  # in medians
+    for channel in named(by_channel):
+        size, (unit, factor) = by_channel[channel.name], channel.human
+        median = float(np.median(size))
+        limit = np.sqrt(chdtri(channel.rows, _OUTLIER) / chdtri(channel.rows, 0.5))  # in medians
         for k in np.flatnonzero(size > limit * median):
-            reason = f"{channel} is off by {factor * size[k]:.3g} {unit}, {size[k] / median:.1f} times the median"
+            reason = f"{channel.name} is off by {factor * size[k]:.3g} {unit}, {size[k] / median:.1f} times the median"
             found.append(Outlier(int(measured.pose[k]), reason))
     return tuple(sorted(found, key=lambda o: o.pose))

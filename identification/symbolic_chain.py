@@ -103,3 +103,8 @@ def rotation_matrix(vector: ca.SX) -> ca.SX:
     first = ca.if_else(small, 1 - square / 6, ca.sin(angle) / angle)
     second = ca.if_else(small, 0.5 - square / 24, (1 - ca.cos(angle)) / angle**2)
     return ca.SX.eye(3) + first * turn + second * (turn @ turn)
+
+
+def wrapped(angle: ca.SX) -> ca.SX:
+    """The same angle within half a turn."""
+    return ca.atan2(ca.sin(angle), ca.cos(angle))

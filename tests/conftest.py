@@ -94,9 +94,8 @@ def observe(pose: Motion, readings: np.ndarray, channels, std=None, noise=None) 
     def error(channel: str, *shape: int) -> np.ndarray:
         return scale[channel] * noise.normal(size=(n, *shape)) if noise is not None else np.zeros((n, *shape))
 
-    values = {}
+    values, std = {}, {channel: np.full(n, sigma[channel]) for channel in channels}
     for channel in channels:
-        values[f"{channel}_std"] = np.full(n, sigma[channel])
         if channel == "orientation":
             values[channel] = r @ exp(error(channel, 3))
         elif channel == "position":
@@ -106,7 +105,7 @@ def observe(pose: Motion, readings: np.ndarray, channels, std=None, noise=None) 
             values[channel] = angles + error(channel, 2)
         else:
             values[channel] = np.arctan2(r[:, 1, 0], r[:, 0, 0]) + error(channel)
-    return Measurements(np.arange(n), readings, **values)
+    return Measurements(np.arange(n), readings, values, std)
 
 
 def load(robot: str, overrides: tuple[str, ...] = ()) -> LoadedRobot:

@@ -12,9 +12,9 @@ from dataclasses import dataclass
 from functools import lru_cache
 from itertools import islice
 from pathlib import Path
-from typing import Annotated, Any, Literal, TypeVar, get_args
+from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar, get_args
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, create_model, field_validator, model_validator
 
 from kincal.urdf.errors import InputError
 from kincal.urdf.input_files import MAX_KEY, MAX_TOML, parse_toml, read_text
@@ -36,9 +36,18 @@ NotNegative = Annotated[float, Field(ge=0)]
 File = Annotated[Path, Field(strict=False)]
 Seed = Annotated[int, Field(ge=0, lt=2**32)]
 Unit = Literal["m", "mm", "rad", "deg", "rev", "1"]
-Channel = Literal["orientation", "position", "tilt", "yaw"]
 Layout = Literal["grid", "random", "d_optimal"]
-_USUAL_SIGMA: dict[str, float] = {"orientation": 0.0006, "position": 0.02, "tilt": 0.01, "yaw": 0.01}  # [deg, mm]
+
+SENSORS: dict[str, tuple[Literal["deg", "mm"], float]] = {  # each channel's unit in [sensor], and its usual sigma
+    "orientation": ("deg", 0.0006),  # about each axis
+    "position": ("mm", 0.02),  # along each axis
+    "tilt": ("deg", 0.01),
+    "yaw": ("deg", 0.01),
+}
+if TYPE_CHECKING:
+    Channel = str
+else:
+    Channel = Literal[tuple(SENSORS)]
 
 
 class _Table(BaseModel):
@@ -95,27 +104,34 @@ class Tolerance(_Table):
     actuator_gain: Positive = 1e-3  # relative to the nominal gain
 
 
-class Sensor(_Table):
-    """One sigma of one reading, where the data has no *_std column.
+class _Sensor(_Table):
+    """One sigma of one reading, where the data has no *_std column: `tilt_deg`, .. by the table SENSORS.
 
     Where neither says it, identification estimates it from its residuals; a virtual robot's sensor has a common one.
     """
 
-    orientation_deg: Positive | None = None  # about each axis
-    position_mm: Positive | None = None  # along each axis
-    tilt_deg: Positive | None = None
-    yaw_deg: Positive | None = None
+    if TYPE_CHECKING:
 
-    def given(self, channel: Channel) -> bool:
-        return self._value(channel) is not None
+        def __init__(self, **sigmas: float | None) -> None: ...
 
-    def sigma(self, channel: Channel) -> float:
-        """[rad] or, of a position, [m]; a first guess where it is not given."""
-        value, usual = self._value(channel), _USUAL_SIGMA[channel]
-        return (usual if value is None else value) * (1e-3 if channel == "position" else math.pi / 180)
+    def stated(self, channel: str) -> float | None:
+        """[deg] or [mm], as robot.toml has it."""
+        return getattr(self, f"{channel}_{SENSORS[channel][0]}")
 
-    def _value(self, channel: Channel) -> float | None:
-        return getattr(self, f"{channel}_mm" if channel == "position" else f"{channel}_deg")
+    def given(self, channel: str) -> bool:
+        return self.stated(channel) is not None
+
+    def sigma(self, channel: str) -> float:
+        """[rad] or, of a length, [m]; a first guess where it is not given."""
+        value, (unit, usual) = self.stated(channel), SENSORS[channel]
+        return (usual if value is None else value) * (1e-3 if unit == "mm" else math.pi / 180)
+
+
+if TYPE_CHECKING:
+    Sensor = _Sensor
+else:
+    _SIGMAS = {f"{channel}_{unit}": (Positive | None, None) for channel, (unit, _) in SENSORS.items()}
+    Sensor = create_model("Sensor", __base__=_Sensor, __module__=__name__, __doc__=_Sensor.__doc__, **_SIGMAS)
 
 
 class Actuator(_Table):
@@ -239,7 +255,7 @@ class Measure(_Table):
                 "set measure.table or measure.commands"
             )
         if self.channels is not None and not self.channels:
-            raise ValueError("channels = []: allowed are one or more of orientation, position, tilt, yaw")
+            raise ValueError(f"channels = []: allowed are one or more of {', '.join(SENSORS)}")
         if self.channels and "orientation" in self.channels and {"tilt", "yaw"} & set(self.channels):
             raise ValueError("channels: orientation holds tilt and yaw already; give either")
         return self

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable
 from typing import TYPE_CHECKING
 
 from rich.text import Text
 
 from kincal.pipeline.commands.console import out, show_table
-from kincal.pipeline.report.tables import foreseen_table, parameter_table, summary_lines
+from kincal.pipeline.report.tables import foreseen_table, parameter_table, sensor_sigmas, summary_lines
 
 if TYPE_CHECKING:
     from kincal.pipeline.interface.campaign import Foresight
@@ -31,11 +30,10 @@ def show_inspection(fit: Fit) -> None:
     poses = f"{found.n_poses} poses ({', '.join(found.channels)})"
     out.print(Text(f"{name}: parameters identified from {poses} by {found.estimator}, {found.loss} loss", "bold"))
     show_table(parameter_table(found))
-    sigmas = "; ".join(f"{c} {_sigma(c, v)}" for c, v in found.sensor_std.items())
     estimated = f" ({', '.join(found.sensor_estimated)} estimated from residuals)" if found.sensor_estimated else ""
     lines = [
         *summary_lines(found),
-        f"sensors, one sigma: {sigmas}{estimated}",
+        f"sensors, one sigma: {sensor_sigmas(found)}{estimated}",
         f"chi-square {found.chi_square:.4g} over {found.degrees_of_freedom:.1f} degrees of freedom; "
         f"{found.message} after {found.iterations} iterations, shrinkage {found.shrinkage:.3g}",
     ]
@@ -51,7 +49,3 @@ def _directions(unobservable: tuple[str, ...]) -> list[str]:
 def _show(lines: Iterable[str]) -> None:
     for line in lines:
         out.print(Text(line), soft_wrap=True)
-
-
-def _sigma(channel: str, sigma: float) -> str:
-    return f"{1e3 * sigma:.3g} mm" if channel == "position" else f"{math.degrees(sigma):.3g} deg"

@@ -6,10 +6,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from kincal.identification.channels import all_turns, parts
+from kincal.identification.channels import scored
 from kincal.identification.predicted_accuracy import mean_length
 from kincal.pipeline.methods.calibrated import SURE, Calibrated
-from kincal.pipeline.methods.covariance import seen_from
 from kincal.pipeline.methods.predictors import METHODS
 from kincal.pipeline.results import Advice, MethodScore
 
@@ -60,11 +59,12 @@ def _expected(calibrated: Calibrated, best: str, readings: np.ndarray) -> tuple[
     covariance, channels = calibrated.covariance(best, readings), calibrated.channels
     if covariance is None:
         return None
-    turned = covariance[:, :3, :3]
-    if not all_turns(channels):
-        turned = seen_from(turned, calibrated.methods[best].predict(readings).rotation[:, 2])
-    deg = float(np.rad2deg(np.mean(mean_length(turned)))) if "tilt" in parts(channels) else None
-    return deg, float(1e3 * np.mean(mean_length(covariance[:, 3:, 3:]))) if "position" in channels else None
+    rotation = calibrated.methods[best].predict(readings).rotation
+    mean = {
+        unit: channel.human[1] * float(np.mean(mean_length(channel.covariance(covariance, rotation))))
+        for unit, channel in scored(channels).items()
+    }
+    return mean.get("rad"), mean.get("m")
 
 
 def _power(curve: np.ndarray, method: str) -> float:

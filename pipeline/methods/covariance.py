@@ -45,12 +45,6 @@ def _derivatives(model: ErrorModel, p: np.ndarray, readings: np.ndarray, q: np.n
     return jacobian * prior_sigma(model.parameters), jacobian[:, :, model.zeros]
 
 
-def seen_from(covariance: np.ndarray, up: np.ndarray) -> np.ndarray:
-    """(n, 3, 3) of rotations, the turn about the vertical `up` (n, 3), in the target's frame, taken off."""
-    flat = np.eye(3) - up[:, :, None] * up[:, None]
-    return flat @ covariance @ flat
-
-
 def sigma(covariance: np.ndarray, axes: int = 3) -> np.ndarray:
     """(n,) one sigma along an axis, root mean square over `axes` of them."""
     return np.sqrt(np.trace(covariance, axis1=1, axis2=2) / axes)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -41,19 +40,19 @@ def _desired(
     wanted = to_measurements(table, (), calibrated.description.sensor)
     model, identified = calibrated.model, calibrated.identification
     axes = model.chain.tool_axes
-    if any(a < 3 for a in axes) and wanted.position is None:
+    if any(a < 3 for a in axes) and "position" not in wanted.values:
         raise InputError(f"{source}: the tool moves along {[AXES[a] for a in axes if a < 3]}: x, y, z are needed")
-    if any(a >= 3 for a in axes) and wanted.orientation is None and wanted.tilt is None:
+    if any(a >= 3 for a in axes) and "orientation" not in wanted.values and "tilt" not in wanted.values:
         raise InputError(f"{source}: the tool turns: qx, qy, qz, qw or roll, pitch (and yaw) are needed")
     robot = model.robot(identified.change)
     home = robot.measured(model.chain.home_pose)
     pose = wanted.as_poses()
-    if wanted.orientation is None and wanted.tilt is None:
+    if "orientation" not in wanted.values and "tilt" not in wanted.values:
         pose = Motion(np.broadcast_to(home.rotation, pose.rotation.shape), pose.translation)
-    elif wanted.orientation is None and wanted.yaw is None:
+    elif "orientation" not in wanted.values and "yaw" not in wanted.values:
         yaw = np.full(len(wanted), np.arctan2(home.rotation[1, 0], home.rotation[0, 0]))
-        pose = replace(wanted, yaw=yaw).as_poses()
-    if wanted.position is None:
+        pose = wanted.replaced(yaw=yaw).as_poses()
+    if "position" not in wanted.values:
         pose = Motion(pose.rotation, np.broadcast_to(home.translation, pose.translation.shape))
     measured = identified.channels
     known = tuple(sorted(parts(wanted.channels) & parts(measured)))

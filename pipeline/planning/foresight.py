@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from kincal.identification.channels import named
 from kincal.identification.estimators import foreseen
 from kincal.identification.expected import expected, prior_sigma
 from kincal.identification.identification import Identification
@@ -18,11 +19,6 @@ from kincal.pipeline.results import Model, PosePlan
 from kincal.urdf.description import RobotDescription
 from kincal.urdf.kinematics import inverse
 from kincal.urdf.workspace import AXES
-
-_UNSEEN: dict[tuple[str, ...], str] = {
-    ("tilt",): "tilt alone: no turn about gravity is ever seen, neither the tool's nor W's; yaw stays unknown",
-    ("position",): "positions alone: the target's orientation is seen only through what its lever arm moves",
-}
 
 
 @dataclass(frozen=True)
@@ -63,9 +59,9 @@ def foresee(description: RobotDescription, model: Model, plan: PosePlan) -> Fore
     estimate = foreseen(planned.model, measured)
     found = summarise(planned.model, measured, estimate, estimate)
     blocks = planned.model.jacobian(zero, measured, q)
-    said = (_UNSEEN[planned.channels],) if planned.channels in _UNSEEN else ()
+    alone = named(planned.channels)[0].alone if len(planned.channels) == 1 else ""
     return Foresight(
-        replace(found, findings=said, outliers=()),
+        replace(found, findings=(alone,) if alone else (), outliers=()),
         planned.probe.accuracy(blocks * prior_sigma(planned.model.parameters)),
         observability(blocks, planned.model.parameters, found.rank),
     )

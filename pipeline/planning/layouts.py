@@ -22,7 +22,7 @@ from kincal.identification.registration import MIN_POSES
 from kincal.pipeline.report.tables import Table, fixed
 from kincal.pipeline.store.files import refusing, replace_file
 from kincal.urdf.closed_chain import ClosedChain
-from kincal.urdf.description import Channel, Layout, Plan, RobotDescription, Sensor, Workspace
+from kincal.urdf.description import Layout, Plan, RobotDescription, Sensor, Workspace
 from kincal.urdf.errors import InputError
 from kincal.urdf.workspace import AXES, sample
 
@@ -64,7 +64,7 @@ class PlanReport:
 
     robot: str
     layout: Layout
-    channels: tuple[Channel, ...]
+    channels: tuple[str, ...]
     table: pd.DataFrame
     scores: tuple[LayoutScore, ...]
     wanted: Wanted | None
@@ -77,7 +77,7 @@ class Planner:
 
     model: ErrorModel
     workspace: Workspace
-    channels: tuple[Channel, ...]
+    channels: tuple[str, ...]
     sensor: Sensor  # of one row
     seed: int
     _known: dict[tuple[Layout, int], tuple[Sites, np.ndarray]] = field(default_factory=dict, repr=False, compare=False)

@@ -11,12 +11,13 @@ from markupsafe import Markup
 from matplotlib import rc_context
 from matplotlib.figure import Figure
 
+from kincal.identification.channels import BY_ROWS
 from kincal.identification.identification import Identification
 from kincal.identification.streams.campaign import Campaign
 from kincal.pipeline.report.figures import BLUE, GREY, RED, STYLE, clean, inline, svg
 from kincal.pipeline.report.identification_figures import changes, singular_values
 from kincal.pipeline.report.pages import environment
-from kincal.pipeline.report.tables import collinear_lines, comparison_tables, parameter_table, wave_table
+from kincal.pipeline.report.tables import collinear_lines, comparison_tables, fixed, parameter_table, wave_table
 from kincal.pipeline.results import (
     Comparison,
     Corrected,
@@ -66,6 +67,8 @@ def page(
             closed_loop=comparison_tables(compared.closed_loop),
             parameters=parameter_table(identified.shipped),
             collinear=collinear_lines(identified.shipped),
+            channels=BY_ROWS,
+            fixed=fixed,
             **figures,
         )
     )

@@ -96,10 +96,11 @@ def differences(robot: RobotDescription) -> tuple[str, ...]:
     }
     sensor = robot.sensor
     if robot.measure.channels and "orientation" in robot.measure.channels:
-        sigma = f"{sensor.orientation_deg:g}" if sensor.orientation_deg else "an unknown number of"
+        sigma = sensor.stated("orientation")
+        sigma = f"{sigma:g}" if sigma else "an unknown number of"
         noise = f"a tracker-like orientation with a noise of {sigma} degrees about each axis"
     elif robot.measure.stream:
-        stream, sigma = robot.measure.stream, sensor.tilt_deg
+        stream, sigma = robot.measure.stream, sensor.stated("tilt")
         each = f"{sigma:g} degrees a sample, " if sigma else ""
         samples = f"{each}{stream.rate_hz * stream.seconds:g} samples a pose, filtered"
         noise = f"streams of inclinometer and heading, {samples}"

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from kincal.identification.channels import named
 from kincal.identification.identification import HUMAN, Identification
 from kincal.learning.correction import Correction
 from kincal.pipeline.results import MethodScore, Model
@@ -131,6 +132,12 @@ def collinear_lines(found: Identification, most: int = 5) -> list[str]:
     return lines
 
 
+def sensor_sigmas(found: Identification) -> str:
+    """One sigma of each channel, for people."""
+    channels = named(found.sensor_std)
+    return "; ".join(f"{c.name} {c.human[1] * found.sensor_std[c.name]:.3g} {c.human[0]}" for c in channels)
+
+
 def summary_lines(found: Identification) -> list[str]:
     """Rank decision, conditioning and collinearity, correlations; what an engineer asks before the numbers."""
     s, rank = found.singular_values, found.rank
@@ -199,7 +206,7 @@ def parameters_json(robot: str, found: Identification) -> dict[str, Any]:
         "degrees_of_freedom": found.degrees_of_freedom,
         "iterations": found.iterations,
         "message": found.message,
-        "residual_rms": vars(found.residual_size),
+        "residual_rms": dict(found.residual_size),
         "outliers": [vars(outlier) for outlier in found.outliers],
         "findings": list(found.findings),
     }

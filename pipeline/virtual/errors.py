@@ -1,7 +1,7 @@
 """The non-geometric errors of a virtual robot, each a closed form.
 
-Its actuated joints are shifted, in metres where they are prismatic and in radians where they are revolute; its
-instrument's axes leak into each other.
+Its actuated joints are shifted, in metres where they are prismatic and in radians where they are revolute. That its
+instrument's axes leak into each other is in `identification.channels.instrument`.
 """
 
 from __future__ import annotations
@@ -11,11 +11,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from kincal.urdf.description import VirtualErrors
-from kincal.urdf.rigid_motion import exp, log
 
 _STILL = 1e-9  # m or rad: a smaller motion is rounding, and turns no gear
 _NO_LOAD = 1e-9  # N or N m: what is smaller is rounding, and closes no gap
-_LEAK = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [1.0, 0.0, 0.0]])  # from roll, pitch, yaw into each of them
 
 
 @dataclass(frozen=True)
@@ -71,22 +69,6 @@ def clearance(errors: VirtualErrors, sliding: np.ndarray, load: np.ndarray) -> n
 def deflection(errors: VirtualErrors, sliding: np.ndarray, load: np.ndarray) -> np.ndarray:
     """(n, k): the actuator gives way to the load (n, k) [N, N m] in proportion."""
     return load / np.where(sliding, errors.stiffness_n_per_m, errors.stiffness_nm_per_rad)
-
-
-def read_angles(rotation: np.ndarray, cross_axis: float) -> dict[str, np.ndarray]:
-    """Roll, pitch and yaw (n) [rad] of Rz(yaw) Ry(pitch) Rx(roll) as an inclinometer reads rotations (n, 3, 3)."""
-    r = rotation
-    roll, pitch = np.arctan2(r[:, 2, 1], r[:, 2, 2]), -np.arcsin(r[:, 2, 0])
-    angles = np.stack([roll, pitch, np.arctan2(r[:, 1, 0], r[:, 0, 0])])
-    return dict(zip(("roll", "pitch", "yaw"), angles + cross_axis * _LEAK @ angles, strict=True))
-
-
-def read_rotation(rotation: np.ndarray, cross_axis: float) -> np.ndarray:
-    """Rotations (n, 3, 3) as a tracker reads them: its axes leak what has turned since the first pose."""
-    if not cross_axis or not len(rotation):
-        return rotation  # to the bit
-    first = rotation[0]
-    return first @ exp(log(first.T @ rotation) @ (np.eye(3) + cross_axis * _LEAK).T)
 
 
 def _each(sliding: np.ndarray, mm: float, deg: float) -> np.ndarray:

@@ -12,16 +12,17 @@ import numpy as np
 import pandas as pd
 from scipy.constants import g
 
+from kincal.identification.channels import CHANNELS
+from kincal.identification.channels.instrument import read_angles
 from kincal.identification.error_model import BuiltRobot, ErrorModel
 from kincal.identification.measurements import default_channels as default_channels
-from kincal.identification.measurements import quaternions
 from kincal.pipeline.results import Truth
 from kincal.pipeline.virtual import errors as terms
 from kincal.pipeline.virtual.errors import Circumstances
 from kincal.urdf.description import Sensor, Stream, VirtualErrors
 from kincal.urdf.errors import InputError
 from kincal.urdf.kinematics import Closure, forward, passive_rates, tool_point_jacobian
-from kincal.urdf.rigid_motion import Motion, exp
+from kincal.urdf.rigid_motion import Motion
 
 STANDING = np.array([0.0, 0.0, g])  # the specific force where nothing moves [m/s2]
 _SETTLING = 3  # iterations of load and deflection; each gains some four digits
@@ -141,7 +142,7 @@ def stream_of(
         raise InputError(
             f"measure.stream: {count} samples of {n} poses; allowed are {_MOST_SAMPLES}: lower rate_hz or seconds"
         )
-    read = terms.read_angles(np.repeat(pose.rotation, per_pose, axis=0), cross_axis)
+    read = read_angles(np.repeat(pose.rotation, per_pose, axis=0), cross_axis)
     columns = {"t": np.arange(count) / stream.rate_hz, "pose": np.repeat(np.arange(n), per_pose)}
     outlier = {"tilt": random.random(count) < stream.outliers, "yaw": random.random(count) < stream.outliers}
     for name in ("roll", "pitch", "yaw") if "yaw" in channels else ("roll", "pitch"):
@@ -158,19 +159,8 @@ def measure(
 ) -> dict[str, np.ndarray]:
     """Columns of a measurement table: true poses (n) with each sensor's noise, and its cross-axis error."""
     random = np.random.default_rng([seed, 2])
-    n = len(pose.translation)
     columns: dict[str, np.ndarray] = {}
-    if "orientation" in channels:
-        noise = sensor.sigma("orientation") * random.normal(size=(n, 3))
-        read = terms.read_rotation(pose.rotation, cross_axis)
-        columns |= dict(zip(("qx", "qy", "qz", "qw"), quaternions(read @ exp(noise)).T, strict=True))
-    if "position" in channels:
-        noise = sensor.sigma("position") * random.normal(size=(n, 3))
-        columns |= dict(zip("xyz", (pose.translation + noise).T, strict=True))
-    angles = terms.read_angles(pose.rotation, cross_axis)
-    if "tilt" in channels:
-        noise = sensor.sigma("tilt") * random.normal(size=(n, 2))
-        columns |= {"roll": angles["roll"] + noise[:, 0], "pitch": angles["pitch"] + noise[:, 1]}
-    if "yaw" in channels:
-        columns["yaw"] = angles["yaw"] + sensor.sigma("yaw") * random.normal(size=n)
+    for channel in (c for c in CHANNELS if c.name in channels):
+        values = channel.noisy(channel.sensed(pose, cross_axis), sensor.sigma(channel.name), random)
+        columns |= channel.write(values)
     return columns

@@ -243,7 +243,7 @@ def test_expected_measurements_are_those_without_noise(name, channels, robot):
     np.testing.assert_allclose(residual, 0, rtol=0, atol=1e-7)
     sizes = {"orientation": np.deg2rad(0.3), "position": 2e-3, "tilt": np.deg2rad(0.1), "yaw": np.deg2rad(0.2)}
     for channel in channels:
-        np.testing.assert_allclose(getattr(found, f"{channel}_std"), sizes[channel], rtol=1e-12)
+        np.testing.assert_allclose(found.std[channel], sizes[channel], rtol=1e-12)
     plain = loaded.measure(p, readings, channels, {c: sizes[c] for c in channels})
     np.testing.assert_allclose(
         loaded.model.jacobian(p, found, q), loaded.model.jacobian(p, plain, q), rtol=1e-8, atol=1e-6

@@ -68,21 +68,21 @@ def refusal(loaded, measured) -> str:
 
 
 def times(channel: str, factor):
-    return lambda m: replace(m, **{channel: getattr(m, channel) * factor})
+    return lambda m: m.replaced(**{channel: m.values[channel] * factor})
 
 
 def quaternion_as(order: str):
     """The file's columns hold `order`; they are read as x, y, z, w."""
 
     def change(m):
-        read = Rotation.from_matrix(m.orientation).as_quat()[:, ["xyzw".index(c) for c in order]]
-        return replace(m, orientation=Rotation.from_quat(read).as_matrix())
+        read = Rotation.from_matrix(m.values["orientation"]).as_quat()[:, ["xyzw".index(c) for c in order]]
+        return m.replaced(orientation=Rotation.from_quat(read).as_matrix())
 
     return change
 
 
 def transposed(m):
-    return replace(m, orientation=m.orientation.swapaxes(1, 2))
+    return m.replaced(orientation=m.values["orientation"].swapaxes(1, 2))
 
 
 def joints_swapped(i: int, j: int):
@@ -91,11 +91,11 @@ def joints_swapped(i: int, j: int):
 
 
 def tilt_swapped(m):
-    return replace(m, tilt=m.tilt[:, ::-1].copy())
+    return m.replaced(tilt=m.values["tilt"][:, ::-1].copy())
 
 
 def of_other_poses(channel: str):
-    return lambda m: replace(m, **{channel: np.roll(getattr(m, channel), 1, axis=0)})
+    return lambda m: m.replaced(**{channel: np.roll(m.values[channel], 1, axis=0)})
 
 
 # Some mistakes are one mistake to a W and T that nobody knows:
@@ -205,8 +205,8 @@ def test_poses_that_differ_by_noise_are_refused(channels, robot):
 def test_a_stuck_sensor_is_named(name, channels, stuck, robot):
     loaded = robot(name)
     measured = table(loaded, channels, 8, 1)
-    same = np.repeat(getattr(measured, stuck)[:1], 8, axis=0)
-    message = refusal(loaded, replace(measured, **{stuck: same}))
+    same = np.repeat(measured.values[stuck][:1], 8, axis=0)
+    message = refusal(loaded, measured.replaced(**{stuck: same}))
     assert message == f"measurements: {stuck} is the same at every pose, though the robot moves: is it stuck?"
 
 

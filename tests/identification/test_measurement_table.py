@@ -46,8 +46,8 @@ def test_a_table_as_the_design_has_it(read):
     assert found.channels == ("orientation",)
     assert len(found) == 3
     expected = Rotation.from_quat([[0, 0, 0, 1], [0.6, 0, 0, 0.8], [0, 0.6, 0, -0.8]]).as_matrix()
-    np.testing.assert_allclose(found.orientation, expected, rtol=0, atol=1e-15)
-    np.testing.assert_allclose(found.orientation_std, np.deg2rad(0.5))
+    np.testing.assert_allclose(found.values["orientation"], expected, rtol=0, atol=1e-15)
+    np.testing.assert_allclose(found.std["orientation"], np.deg2rad(0.5))
 
 
 def test_every_channel_and_its_sigma(read):
@@ -58,10 +58,10 @@ def test_every_channel_and_its_sigma(read):
     found = to_measurements(read(text), JOINTS, Sensor())
     assert found.channels == ("tilt", "yaw", "position")
     np.testing.assert_array_equal(found.pose, [5])
-    np.testing.assert_array_equal(found.position, [[1, 2, 3]])
-    np.testing.assert_array_equal(found.tilt, [[0.1, 0.2]])
-    np.testing.assert_array_equal(found.yaw, [0.3])
-    assert (found.position_std[0], found.tilt_std[0], found.yaw_std[0]) == (0.01, 0.02, 0.03)
+    np.testing.assert_array_equal(found.values["position"], [[1, 2, 3]])
+    np.testing.assert_array_equal(found.values["tilt"], [[0.1, 0.2]])
+    np.testing.assert_array_equal(found.values["yaw"], [0.3])
+    assert (found.std["position"][0], found.std["tilt"][0], found.std["yaw"][0]) == (0.01, 0.02, 0.03)
 
 
 def test_poses_are_numbered_where_the_table_does_not(read):
@@ -91,9 +91,9 @@ def test_a_foreign_table_by_map_units_separator_and_decimal_comma(read):
     table = read(text, columns=columns, separator=";", decimal=",")
     found = to_measurements(table, JOINTS, Sensor())
     np.testing.assert_allclose(found.readings, [[0.4505, 0.46, 0.47]])
-    np.testing.assert_allclose(found.position, [[1.0, -2.0005, 3.0]])
+    np.testing.assert_allclose(found.values["position"], [[1.0, -2.0005, 3.0]])
     expected = Rotation.from_euler("XYZ", [10, 20, -30], degrees=True).as_matrix()
-    np.testing.assert_allclose(found.orientation[0], expected, rtol=0, atol=1e-14)
+    np.testing.assert_allclose(found.values["orientation"][0], expected, rtol=0, atol=1e-14)
 
 
 def test_units_of_joints():
@@ -250,5 +250,5 @@ def test_rows_are_selected_in_every_channel(read):
     part = found[np.array([2, 0])]
     np.testing.assert_array_equal(part.pose, [2, 0])
     np.testing.assert_array_equal(part.readings, found.readings[[2, 0]])
-    np.testing.assert_array_equal(part.orientation, found.orientation[[2, 0]])
-    assert part.position is None
+    np.testing.assert_array_equal(part.values["orientation"], found.values["orientation"][[2, 0]])
+    assert "position" not in part.values

@@ -105,7 +105,7 @@ def test_noisy_measurements_leave_a_chi_square_of_one(name, channels, n, robot):
     assert rows - len(loaded.model.parameters) < found.degrees_of_freedom < rows - 6
     assert len(found.outliers) < 0.1 * n
     expected = np.rad2deg(1e-5) * np.sqrt(3 * found.degrees_of_freedom / rows)
-    assert found.residual_size.orientation_deg == pytest.approx(expected, rel=0.4)
+    assert found.residual_size["orientation_deg"] == pytest.approx(expected, rel=0.4)
 
 
 @pytest.mark.parametrize(
@@ -168,7 +168,7 @@ def test_one_bad_pose_is_named_as_an_outlier(robot):
     loaded = robot("ur10")
     truth, readings = loaded.random_parameters(7), loaded.readings(40, 7)
     measured = loaded.measure(truth, readings, ("orientation", "position"), noise=np.random.default_rng(8))
-    measured.position[17] += 100 * measured.position_std[17] * np.array([0.6, 0.8, 0.0])
+    measured.values["position"][17] += 100 * measured.std["position"][17] * np.array([0.6, 0.8, 0.0])
     found = summarise(loaded.model, measured, identify(loaded.model, measured), register(loaded.model, measured))
     assert found.outliers[0].pose == 17 or 17 in [o.pose for o in found.outliers]
     assert any("position" in o.reason for o in found.outliers if o.pose == 17)

@@ -147,7 +147,7 @@ def spoiled(measured: Measurements, poses: list[int], size: float, seed: int) ->
     """The orientations of some poses turned by `size` [rad], each about another axis."""
     axes = np.random.default_rng(seed).normal(size=(len(poses), 3))
     axes *= size / np.linalg.norm(axes, axis=1)[:, None]
-    measured.orientation[poses] = measured.orientation[poses] @ exp(axes)
+    measured.values["orientation"][poses] = measured.values["orientation"][poses] @ exp(axes)
     return measured
 
 

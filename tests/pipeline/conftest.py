@@ -4,7 +4,7 @@ import os
 import shutil
 import subprocess
 import sys
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 
@@ -146,9 +146,9 @@ class Calibrated:
         """From another fit; the poses `spoil` are replaced by nonsense; wider: sigmas, that then count as unknown."""
         measured = self.measured.scaled(dict.fromkeys(self.measured.channels, wider))
         if spoil is not None:
-            rotation = measured.orientation.copy()
+            rotation = measured.values["orientation"].copy()
             rotation[spoil] = rotation[spoil][:, ::-1]
-            measured = replace(measured, orientation=rotation)
+            measured = measured.replaced(orientation=rotation)
         return corrected(self.model, measured, fit, self.inherited, Correct(), 0, wider == 1.0)
 
 

@@ -6,8 +6,10 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
 
-from kincal.pipeline.methods.covariance import pose_covariance, radius, seen_from, sigma
+from kincal.identification.channels import TILT
+from kincal.pipeline.methods.covariance import pose_covariance, radius, sigma
 from kincal.urdf.rigid_motion import log
 
 
@@ -38,12 +40,15 @@ def test_sigma_is_the_root_mean_square_of_the_axes():
     np.testing.assert_allclose(sigma(c, axes=2), np.sqrt(1.5) * np.array(expected), rtol=1e-12)
 
 
-def test_seen_from_takes_the_turn_about_the_vertical_off():
+def test_tilt_takes_the_turn_about_the_vertical_off():
     """Against drawn rotation vectors whose part along it is left out."""
     c = covariances(3, 2)
     up = np.random.default_rng(3).normal(size=(3, 3))
     up /= np.linalg.norm(up, axis=1, keepdims=True)
-    for found, one, axis in zip(seen_from(c, up), c, up, strict=True):
+    whole = np.zeros((3, 6, 6))
+    whole[:, :3, :3] = c
+    upright = np.array([Rotation.align_vectors([[0, 0, 1]], [axis])[0].as_matrix() for axis in up])
+    for found, one, axis in zip(TILT.covariance(whole, upright), c, up, strict=True):
         drawn = np.random.default_rng(4).multivariate_normal(np.zeros(3), one, 200_000)
         flat = drawn - np.outer(drawn @ axis, axis)
         np.testing.assert_allclose(found, np.cov(flat.T), rtol=0, atol=0.02 * np.abs(one).max())
