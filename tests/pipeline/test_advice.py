@@ -1,11 +1,13 @@
 """The sentence at the end of a comparison: its method, its numbers and its words, on learning curves made up."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from kincal.pipeline.methods.advice import advise
+from kincal.pipeline.methods.calibrated import Calibrated
 from kincal.pipeline.results import Corrected, MethodScore
 
 
@@ -26,7 +28,8 @@ def advice(robot, correction):
     def advice(scores, learning_curve, n=100, shrinkage=1.0):
         own = replace(correction(robot("ups3_s"), 1e-4), shrinkage=shrinkage)
         corrected = Corrected(np.zeros(0), own, learning_curve)
-        return advise(None, None, corrected, {}, scores, np.zeros((n, 3)), ("orientation",))
+        calibrated = SimpleNamespace(corrected=corrected, channels=("orientation",), covariance=lambda *_: None)
+        return advise(calibrated, scores, np.zeros((n, 3)))
 
     return advice
 
@@ -104,7 +107,8 @@ def test_what_is_expected_comes_true(calibrated):
     truth = case.virtual.pose(readings)
     methods = {"geometric": case.geometric, "hybrid": case.hybrid}
     for name, method in methods.items():
-        found = advise(case.model, case.fit, case.corrected, methods, [score(name, 9.0)], readings, ("orientation",))
+        fitted = Calibrated(case.model, case.fit, None, case.corrected, ("orientation",))
+        found = advise(fitted, [score(name, 9.0)], readings)
         got = method.predict(readings)
         cosine = (np.einsum("nij,nij->n", got.rotation, truth.rotation) - 1) / 2
         measured = np.rad2deg(np.mean(np.sqrt(2 * np.maximum(1 - cosine, 0))))
