@@ -49,6 +49,7 @@ from kincal.pipeline.methods.residual_network import corrected
 from kincal.pipeline.results import Fit, Identified, Pretrained, SourceTask
 from kincal.pipeline.run.runner import Run
 from kincal.pipeline.stages import correction, drawing
+from kincal.pipeline.stages.robot_data import DrawnRobot
 from kincal.pipeline.store.store import Store
 from kincal.urdf.description import ROBOTS, load_robot
 from kincal.urdf.errors import CalibrationError, InputError
@@ -280,7 +281,7 @@ def _siblings() -> Inherited:
     """Of the arm in the workspace of recorded.toml."""
     description = load_robot(str(ROBOTS / "ur10" / "recorded.toml")).description
     drawn = drawing.model(description.mechanism, Path(description.urdf))
-    return correction.siblings(drawn, description.siblings, description.tolerance, description.actuator).inherited
+    return correction.siblings(DrawnRobot.of(drawn, description), description.siblings).inherited
 
 
 def _peers(geometric: Method, train: Measurements, seed: int) -> tuple[dict[str, Method | str], dict[str, float]]:

@@ -27,6 +27,7 @@ from kincal.pipeline.methods.predictors import HybridMethod, ModelMethod, build
 from kincal.pipeline.methods.residual_network import corrected
 from kincal.pipeline.results import Fit
 from kincal.pipeline.stages import correction, drawing
+from kincal.pipeline.stages.robot_data import DrawnRobot
 from kincal.pipeline.virtual.robot import VirtualRobot, draw, measure
 from kincal.urdf.description import Channel, Identify, Plan, Sensor, VirtualErrors, load_robot
 from kincal.urdf.errors import CalibrationError, InputError
@@ -161,7 +162,7 @@ def _sensor(case: Case) -> Sensor:
 def _siblings(robot: str) -> Inherited:
     given = load_robot(robot).description
     drawn = drawing.model(given.mechanism, Path(given.urdf))
-    return correction.siblings(drawn, given.siblings, given.tolerance, given.actuator).inherited
+    return correction.siblings(DrawnRobot.of(drawn, given), given.siblings).inherited
 
 
 if __name__ == "__main__":
