@@ -43,7 +43,7 @@ class Known(Stage):
         return self.kind
 
     def call(self, values: Mapping[str, Any]) -> Any:
-        return self.function()
+        return self.function(**values)
 
 
 @dataclass(frozen=True)

@@ -56,8 +56,8 @@ def build(compiler: str, sources: Sequence[Path], built: Path, *options: str) ->
 
 def _compile(compiler: str, source: str, library: Path) -> None:
     library.parent.mkdir(parents=True, exist_ok=True)
-    with tempfile.TemporaryDirectory(dir=library.parent) as own:
-        code, built = Path(own) / "derivatives.c", Path(own) / library.name
+    with tempfile.TemporaryDirectory(dir=library.parent) as folder:
+        code, built = Path(folder) / "derivatives.c", Path(folder) / library.name
         code.write_text(source, encoding="utf-8")
         build(compiler, [code], built, *_FLAGS)
         built.replace(library)

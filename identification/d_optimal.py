@@ -94,7 +94,7 @@ def select(jacobian: np.ndarray, n: int, seed: int = 0, restarts: int | None = N
     random = np.random.default_rng([seed, 12])
     starts = [_greedy(blocks, base, rest)]
     starts += [random.choice(len(blocks), rest, replace=False) for _ in range(restarts)]
-    chosen, history = max((_exchanged(blocks, base, start) for start in starts), key=lambda found: found[1][-1])
+    chosen, history = max((_exchanged(blocks, base, start) for start in starts), key=lambda candidate: candidate[1][-1])
     return Selection(np.repeat(np.arange(len(blocks)), _counts(base, chosen)), history[-1], tuple(history))
 
 

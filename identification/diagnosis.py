@@ -59,10 +59,10 @@ def registered(model: ErrorModel, measured: Measurements, max_iterations: int) -
 def likely_cause(model: ErrorModel, measured: Measurements, excess: float) -> str:
     """The mistakes without which the residuals are much smaller, where several explain them alike; else nothing."""
     limit = min(excess / _BETTER, _EXCESS)
-    found = [(_excess(model, measured, change), cause) for cause, change in _mistakes(model, measured)]
-    least = min(size for size, _ in found)
+    tried = [(_excess(model, measured, change), cause) for cause, change in _mistakes(model, measured)]
+    least = min(size for size, _ in tried)
     if least < limit:
-        return ", or ".join(cause for size, cause in found if size < _ALIKE * least)
+        return ", or ".join(cause for size, cause in tried if size < _ALIKE * least)
     for channel in measured.channels:
         others = tuple(c for c in measured.channels if c != channel)
         if any(c.registers for c in named(others)) and _excess(model, measured, lambda m, c=others: m.only(c)) < limit:
@@ -107,11 +107,11 @@ def _excess(model: ErrorModel, measured: Measurements, change: Callable | None =
     """Mean square of registered residuals over the expectation of tolerances and noise; infinite where none exist."""
     try:
         measured = change(measured) if change else measured
-        found = registration_of(model, measured, _FEW_STEPS)
+        registered = registration_of(model, measured, _FEW_STEPS)
     except (InputError, CalibrationError, np.linalg.LinAlgError):
         return np.inf
-    data = standardise(Linear(found.at.triangle, measured.rows), model.parameters.tolerance[:-N_FRAMES])
-    return float(np.sum(found.at.residual**2) / (measured.rows + np.sum(data.s**2)))
+    data = standardise(Linear(registered.at.triangle, measured.rows), model.parameters.tolerance[:-N_FRAMES])
+    return float(np.sum(registered.at.residual**2) / (measured.rows + np.sum(data.s**2)))
 
 
 def _mistakes(model: ErrorModel, measured: Measurements) -> Iterator[_Mistake]:
@@ -147,7 +147,7 @@ def moved_far(parameters: Parameters, p: np.ndarray, std: np.ndarray) -> tuple[s
     std: (n_parameters,) one sigma of each. Raises CalibrationError for more than 12: such an estimate is refused.
     """
     moved = np.abs(p / parameters.tolerance)
-    said = []
+    findings = []
     # a zero and a placement along the same axis can't be told apart: of equals the one that is set most easily
     equal = np.round(moved, 3)
     order = sorted(range(len(p)), key=lambda j: (-equal[j], not parameters.names[j].endswith(".zero")))
@@ -161,17 +161,17 @@ def moved_far(parameters: Parameters, p: np.ndarray, std: np.ndarray) -> tuple[s
             )
         else:
             cause = _cause(parameters.names[j], parameters.units[j])
-        said.append(f"{size}: {cause}")
-    if said and moved.max() > REFUSED:
-        raise CalibrationError(f"identification is refused: {said[0]}; allowed are {REFUSED:g} tolerances")
-    return tuple(said)
+        findings.append(f"{size}: {cause}")
+    if findings and moved.max() > REFUSED:
+        raise CalibrationError(f"identification is refused: {findings[0]}; allowed are {REFUSED:g} tolerances")
+    return tuple(findings)
 
 
 def _cause(name: str, unit: str) -> str:
-    joint, _, what = name.rpartition(".")
-    if what == "zero":
+    joint, _, part = name.rpartition(".")
+    if part == "zero":
         return f"was it homed elsewhere than actuator.{joint}.zero says?"
-    if what == "gain":
+    if part == "gain":
         return f"is actuator.{joint}.gain, or the reading's unit, right?"
     key = "position_mm" if unit == "m" else "rotation_deg"
     return f"is its place in the URDF that of the robot that was built, and tolerance.{key} no smaller than its errors?"

@@ -173,8 +173,8 @@ class ErrorModel:
     def _derivatives(
         self, robot: BuiltRobot, p: np.ndarray, q: np.ndarray, measured: Measurements, many: bool = False
     ) -> tuple[np.ndarray, np.ndarray]:
-        what = "compiled derivatives" if many else "derivatives"
-        residual, r_q, r_x, phi_q, phi_x = self._function(measured, what)(robot, q, measured)
+        kind = "compiled derivatives" if many else "derivatives"
+        residual, r_q, r_x, phi_q, phi_x = self._function(measured, kind)(robot, q, measured)
         chain = self.chain
         if chain.n_equations:
             passive = chain.passive
@@ -200,11 +200,11 @@ class ErrorModel:
         zero, gain, frames = np.split(p[len(kept) :], [n, 2 * n])
         return xi.reshape(-1, 6), zero, gain, (frames[:6], frames[6:])
 
-    def _function(self, measured: Measurements, what: str) -> _Batched:
-        key = (measured.channels, what)
+    def _function(self, measured: Measurements, kind: str) -> _Batched:
+        key = (measured.channels, kind)
         if key not in self._functions:
-            function = _symbolic(self.chain, measured.channels, what != "residual")
-            self._functions[key] = _Batched(compiled(function) if what == "compiled derivatives" else function)
+            function = _symbolic(self.chain, measured.channels, kind != "residual")
+            self._functions[key] = _Batched(compiled(function) if kind == "compiled derivatives" else function)
         return self._functions[key]
 
 

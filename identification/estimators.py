@@ -77,12 +77,12 @@ def registration_of(model: ErrorModel, measured: Measurements, max_iterations: i
     n = len(model.parameters)
     closure = require_closed(model.robot(np.zeros(n)).close(measured.readings), measured)
     problem = Problem(model, measured, _FLAT_SCALE * np.eye(n)[:, -N_FRAMES:], np.full(n, np.inf))
-    found: list[Solution] = []
+    solutions: list[Solution] = []
     for w, t in registration.starts(closure.pose, measured):  # the likeliest first
-        steps = min(max_iterations, _OTHERS) if any(s.success for s in found) else max_iterations
-        found.append(minimise(problem, model.with_frames(np.zeros(n), w, t), closure.q, steps))
-    converged = [s for s in found if s.success]
-    return min(converged or found, key=lambda s: s.cost)
+        steps = min(max_iterations, _OTHERS) if any(s.success for s in solutions) else max_iterations
+        solutions.append(minimise(problem, model.with_frames(np.zeros(n), w, t), closure.q, steps))
+    converged = [s for s in solutions if s.success]
+    return min(converged or solutions, key=lambda s: s.cost)
 
 
 def identify(
@@ -156,8 +156,8 @@ def _estimate(model: ErrorModel, measured: Measurements, settings: Identify, sta
         triangle = weighed.triangle
     data = standardise(Linear(triangle, measured.rows), scale, within)
     believed = tolerance * chosen if estimator == "map" else tolerance
-    found = _result(best, triangle, data, data.filter(estimator, chosen), believed, chosen)
-    return replace(found, iterations=iterations)
+    estimate = _result(best, triangle, data, data.filter(estimator, chosen), believed, chosen)
+    return replace(estimate, iterations=iterations)
 
 
 def _shrunk(
@@ -174,13 +174,13 @@ def _shrunk(
     directions = np.zeros((n, int(kept.sum())))
     directions[:-N_FRAMES] = (data.vt[kept] * data.scale).T
     directions /= np.linalg.norm(directions / problem.model.parameters.tolerance[:, None], axis=0)  # a natural size
-    found = _robust(replace(problem, basis=np.concatenate([directions, frames], axis=1)), start.p, start.q, settings)
+    solution = _robust(replace(problem, basis=np.concatenate([directions, frames], axis=1)), start.p, start.q, settings)
     if settings.estimator != "liu":
-        return found
-    along = np.linalg.lstsq(directions, found.p, rcond=None)[0]
-    p = found.p.copy()
+        return solution
+    along = np.linalg.lstsq(directions, solution.p, rcond=None)[0]
+    p = solution.p.copy()
     p[:-N_FRAMES] = (directions @ (data.filter("liu", chosen)[kept] * along))[:-N_FRAMES]
-    return _robust(replace(problem, basis=frames), p, found.at.q, settings)
+    return _robust(replace(problem, basis=frames), p, solution.at.q, settings)
 
 
 def _robust(problem: Problem, p: np.ndarray, q: np.ndarray, settings: Identify) -> Solution:
@@ -188,12 +188,12 @@ def _robust(problem: Problem, p: np.ndarray, q: np.ndarray, settings: Identify) 
     losses = ("gaussian", "huber", "cauchy")
     iterations = 0
     for loss in losses[: losses.index(settings.loss) + 1]:
-        found = minimise(replace(problem, loss=Loss(loss)), p, q, settings.max_iterations)
-        iterations += found.iterations
+        solution = minimise(replace(problem, loss=Loss(loss)), p, q, settings.max_iterations)
+        iterations += solution.iterations
         if loss == settings.loss:
-            _require(found, "identification")
-        p, q = found.p, found.at.q
-    return replace(found, iterations=iterations)
+            _require(solution, "identification")
+        p, q = solution.p, solution.at.q
+    return replace(solution, iterations=iterations)
 
 
 def _choose(
@@ -232,11 +232,11 @@ def _variance_components(
     if not assumed:
         return {}
     loss, factors = Loss(settings.loss), {}
-    told = loss.information(estimate.residual, measured.channels)
+    information = loss.information(estimate.residual, measured.channels)
     fitted = np.zeros(measured.rows_a_pose)
     for rows in np.array_split(np.arange(len(measured)), max(1, len(measured) // 1000)):
         jacobian = model.jacobian(estimate.p, measured[rows], estimate.q[rows])
-        fitted += np.sum(told[rows] * np.sum((jacobian @ estimate.leverage) * jacobian, axis=2), axis=0)
+        fitted += np.sum(information[rows] * np.sum((jacobian @ estimate.leverage) * jacobian, axis=2), axis=0)
     weights = loss.weights(estimate.residual, measured.channels)
     for channel, (rows, d) in zip(measured.channels, blocks(measured.channels), strict=True):
         if channel not in assumed:
@@ -252,9 +252,9 @@ def _variance_components(
     return factors
 
 
-def _require(solution: Solution, what: str) -> None:
+def _require(solution: Solution, task: str) -> None:
     if not solution.success:
-        raise CalibrationError(f"{what} did not converge: {solution.message}")
+        raise CalibrationError(f"{task} did not converge: {solution.message}")
 
 
 def _about(triangle: np.ndarray, p: np.ndarray, rows: int) -> Linear:

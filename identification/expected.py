@@ -57,11 +57,11 @@ def feasible(model: ErrorModel, workspace: Workspace, u: np.ndarray) -> tuple[Si
     return Sites(u[good], q, model.actuators.readings(q[:, chain.actuated])), good
 
 
-def all_feasible(model: ErrorModel, workspace: Workspace, u: np.ndarray, what: str) -> Sites:
-    """Poses u (n, 6) that must all be feasible; else InputError that begins with `what`."""
+def all_feasible(model: ErrorModel, workspace: Workspace, u: np.ndarray, source: str) -> Sites:
+    """Poses u (n, 6) that must all be feasible; else InputError that begins with `source`."""
     sites, good = feasible(model, workspace, u)
     if not good.all():
-        raise InputError(f"{what}: pose {int(np.argmin(good))} can't be reached within limits, or is singular")
+        raise InputError(f"{source}: pose {int(np.argmin(good))} can't be reached within limits, or is singular")
     return sites
 
 

@@ -54,8 +54,8 @@ def memberships(units: Sequence[Identification]) -> list[Membership]:
     if len(units) < FEWEST or not seen.any():
         return [Membership(float(s), None, None, None, None) for s in spread]
     sigma = 1 - np.diagonal(c)
-    own = sigma > 0.5  # parameters that the data tell by themselves
-    return _judged(spread, a, z[:, own] / np.sqrt(sigma[own]), names[own])
+    determined = sigma > 0.5  # parameters that the data tell by themselves
+    return _judged(spread, a, z[:, determined] / np.sqrt(sigma[determined]), names[determined])
 
 
 def _judged(spread: np.ndarray, a: np.ndarray, x: np.ndarray, names: np.ndarray) -> list[Membership]:

@@ -56,11 +56,11 @@ class FilteredPoses:
 
 
 def filter_stream(
-    stream: pd.DataFrame, poses: np.ndarray, sensor: Sensor, settings: Filter, what: str
+    stream: pd.DataFrame, poses: np.ndarray, sensor: Sensor, settings: Filter, source: str
 ) -> FilteredPoses:
     """The attitudes of `poses` (n,), in their order; those that can't be used are dropped, with the reason.
 
-    `what` names the stream in messages. Raises InputError where half or more of the poses would be dropped.
+    `source` names the stream in messages. Raises InputError where half or more of the poses would be dropped.
     """
     channels = [c for c in CHANNELS if c in stream]
     whole = _Stretches.of(stream, channels)
@@ -68,29 +68,29 @@ def filter_stream(
     asked = whole[np.searchsorted(whole.pose, poses[seen])]
     yaw_stuck = int(_stuck(asked)[:, 2:].sum())
     if 2 * yaw_stuck > len(asked.pose):
-        without = filter_stream(stream.drop(columns="yaw"), poses, sensor, settings, what)
+        without = filter_stream(stream.drop(columns="yaw"), poses, sensor, settings, source)
         return replace(without, yaw_stuck=yaw_stuck)
     dropped = dict.fromkeys(poses[~seen].tolist(), f"it has no sample; allowed is at least {settings.min_samples}")
     dropped |= _unusable(asked, channels, settings)
-    _require(dropped, poses, what)
+    _require(dropped, poses, source)
     usable = asked[np.flatnonzero(~np.isin(asked.pose, list(dropped)))]
     noisy = whole[np.flatnonzero(~np.isin(whole.pose, list(dropped)))]
     sigma = np.array([_sample_sigma(sensor, channel, noisy, k) for k, channel in enumerate(channels)])
-    found = static_attitudes(usable.t, usable.samples, usable.counts, sigma, settings)
-    good = found.used >= np.maximum(settings.min_samples, found.gated)
+    attitudes = static_attitudes(usable.t, usable.samples, usable.counts, sigma, settings)
+    good = attitudes.used >= np.maximum(settings.min_samples, attitudes.gated)
     for k in np.flatnonzero(~good):
         dropped[usable.pose[k]] = (
-            f"{found.gated[k]} of {usable.counts[k]} samples are outliers; "
+            f"{attitudes.gated[k]} of {usable.counts[k]} samples are outliers; "
             f"allowed are fewer than half, and at least {settings.min_samples} good samples"
         )
-    _require(dropped, poses, what)
-    angles, variances, pose = found.angles[good], found.variances[good], usable.pose[good].astype(np.int64)
+    _require(dropped, poses, source)
+    angles, variances, pose = attitudes.angles[good], attitudes.variances[good], usable.pose[good].astype(np.int64)
     tilt_std = np.sqrt(variances[:, :2].mean(axis=1))
     rows = {"pose": pose, "roll": angles[:, 0], "pitch": angles[:, 1], "tilt_std": tilt_std}
     if "yaw" in channels:
         rows |= {"yaw": angles[:, 2], "yaw_std": np.sqrt(variances[:, 2])}
-    rows |= {"used": found.used[good], "gated": found.gated[good]}
-    innovations = zip(channels, found.innovations.tolist(), found.judged.tolist(), strict=True)
+    rows |= {"used": attitudes.used[good], "gated": attitudes.gated[good]}
+    innovations = zip(channels, attitudes.innovations.tolist(), attitudes.judged.tolist(), strict=True)
     told = tuple(StaticInnovations(*each) for each in innovations if each[2])
     return FilteredPoses(pd.DataFrame(rows), _in_order(dropped, poses), told)
 
@@ -99,24 +99,26 @@ def _unusable(stretches: _Stretches, channels: list[str], settings: Filter) -> d
     """Poses with too few samples or a stuck channel, and why."""
     samples, counts = stretches.samples, stretches.counts
     few = np.flatnonzero(counts < settings.min_samples)
-    found = {stretches.pose[k]: f"it has {counts[k]} samples; allowed is at least {settings.min_samples}" for k in few}
+    reasons = {
+        stretches.pose[k]: f"it has {counts[k]} samples; allowed is at least {settings.min_samples}" for k in few
+    }
     for k, channel in np.argwhere(_stuck(stretches)):
         value = samples[stretches.starts[k], channel] / UNITS["deg"]
         reason = f"channel {channels[channel]!r} is stuck at {value:.6g} degrees for all {counts[k]} samples"
-        found.setdefault(stretches.pose[k], reason)
-    return found
+        reasons.setdefault(stretches.pose[k], reason)
+    return reasons
 
 
 def _in_order(dropped: Mapping[int, str], poses: np.ndarray) -> tuple[DroppedPose, ...]:
     return tuple(DroppedPose(p, dropped[p]) for p in poses.tolist() if p in dropped)
 
 
-def _require(dropped: Mapping[int, str], poses: np.ndarray, what: str) -> None:
+def _require(dropped: Mapping[int, str], poses: np.ndarray, source: str) -> None:
     """Refuse a stream that tells less than half of the poses."""
     if dropped and 2 * len(dropped) >= len(poses):
         first = _in_order(dropped, poses)[0]
         raise InputError(
-            f"{what}: {len(dropped)} of {len(poses)} poses can't be used; allowed are fewer than half; "
+            f"{source}: {len(dropped)} of {len(poses)} poses can't be used; allowed are fewer than half; "
             f"the first is pose {first.pose}: {first.reason}"
         )
 

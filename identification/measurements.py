@@ -127,25 +127,25 @@ def canonical_table(
 
 def numbers(values: list[object], column: Column, file: Path | str) -> np.ndarray:
     """Column values as finite numbers in SI units. Raises InputError that names the row."""
-    found = floats(pd.Series(values))
-    number = np.abs(found) < _LARGEST
+    values_read = floats(pd.Series(values))
+    number = np.abs(values_read) < _LARGEST
     bad = np.flatnonzero(~number | np.array([isinstance(value, bool) for value in values], dtype=bool))
     if len(bad):
         row, allowed = bad[0], "finite numbers"
-        if np.isfinite(found[row]):
+        if np.isfinite(values_read[row]):
             allowed = f"finite numbers below {_LARGEST:g}"
         raise InputError(
             f"{file}: column {column.source!r}, row {row + 1}: found {values[row]!r}; allowed are {allowed}"
         )
-    return found * UNITS[column.unit]
+    return values_read * UNITS[column.unit]
 
 
 def _check_groups(columns: Mapping[str, np.ndarray], file: Path | str, measured: bool) -> None:
     for group in _GROUPS:
-        found = [c for c in group if c in columns]
-        if found and len(found) < len(group):
+        present = [c for c in group if c in columns]
+        if present and len(present) < len(group):
             missing = ", ".join(c for c in group if c not in columns)
-            raise InputError(f"{file}: it has {', '.join(found)}, but not {missing}; allowed is all of them or none")
+            raise InputError(f"{file}: it has {', '.join(present)}, but not {missing}; allowed is all of them or none")
     if measured and not any(c in columns for group in _GROUPS for c in group):
         raise InputError(f"{file}: nothing was measured; allowed are {_ALLOWED}")
 

@@ -45,9 +45,9 @@ def starts(tool: Motion, measured: Measurements) -> list[tuple[Motion, Motion]]:
     tool, measured = tool[rows], measured[rows]
     rotation, tilt, position = _orientation(measured), measured.values.get("tilt"), measured.values.get("position")
     if rotation is not None:
-        found = _kronecker(rotation, tool.rotation)
-        pairs = [found or _alternate(rotation, tool.rotation)]
-        if found is None and position is not None:  # a tool that does not turn: its path tells W
+        candidates = _kronecker(rotation, tool.rotation)
+        pairs = [candidates or _alternate(rotation, tool.rotation)]
+        if candidates is None and position is not None:  # a tool that does not turn: its path tells W
             pairs += [
                 (w, _procrustes(np.einsum("nji,kj,nkl->il", tool.rotation, w, rotation)))
                 for w, _ in _alternate_positions(position, tool)
@@ -63,8 +63,8 @@ def starts(tool: Motion, measured: Measurements) -> list[tuple[Motion, Motion]]:
         pairs = _alternate_positions(position, tool)
     else:  # a heading alone: nothing to hold on to
         pairs = [(np.eye(3), np.eye(3))]
-    found = [_with_translations(pair, tool, measured) for pair in pairs]
-    return [(w, t) for _, w, t in sorted(found, key=lambda f: f[0])][:4]
+    candidates = [_with_translations(pair, tool, measured) for pair in pairs]
+    return [(w, t) for _, w, t in sorted(candidates, key=lambda f: f[0])][:4]
 
 
 def instrument_starts(target: Motion, measured: Measurements) -> list[Motion]:
@@ -164,14 +164,14 @@ def _alternate_tilt(up: np.ndarray, tool: np.ndarray) -> tuple[np.ndarray, np.nd
 
 def _alternate_positions(measured: np.ndarray, tool: Motion) -> list[tuple[np.ndarray, np.ndarray]]:
     """W's rotation from positions alone: the two best of 24 starts, translations and rotation in turn."""
-    found = []
+    alternatives = []
     for w in _CUBE:
         for _ in range(_ALTERNATIONS):
             offset = _translations(w, tool, measured)[0]
             points = tool.translation + tool.rotation @ offset
             w = _procrustes(_centred(measured).T @ _centred(points))
-        found.append((_translations(w, tool, measured)[2], w))
-    return [(w, np.eye(3)) for _, w in sorted(found, key=lambda f: f[0])[:2]]
+        alternatives.append((_translations(w, tool, measured)[2], w))
+    return [(w, np.eye(3)) for _, w in sorted(alternatives, key=lambda f: f[0])[:2]]
 
 
 def _about_gravity(n: int) -> list[np.ndarray]:

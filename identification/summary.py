@@ -123,12 +123,12 @@ def _rms(values: np.ndarray | None, factor: float) -> float | None:
 
 def _outliers(measured: Measurements, by_channel: dict[str, np.ndarray]) -> tuple[Outlier, ...]:
     """Poses whose error is too large for a Gaussian of the width that the median tells."""
-    found = []
+    outliers = []
     for channel in named(by_channel):
         size, (unit, factor) = by_channel[channel.name], channel.human
         median = float(np.median(size))
         limit = np.sqrt(chdtri(channel.rows, _OUTLIER) / chdtri(channel.rows, 0.5))  # in medians
         for k in np.flatnonzero(size > limit * median):
             reason = f"{channel.name} is off by {factor * size[k]:.3g} {unit}, {size[k] / median:.1f} times the median"
-            found.append(Outlier(int(measured.pose[k]), reason))
-    return tuple(sorted(found, key=lambda o: o.pose))
+            outliers.append(Outlier(int(measured.pose[k]), reason))
+    return tuple(sorted(outliers, key=lambda o: o.pose))

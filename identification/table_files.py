@@ -155,18 +155,18 @@ def _parquet(file: Path) -> pd.DataFrame:
             return decoded(file, opened.read(columns=names, use_threads=False))
 
 
-def decoded(file: Path, found: Any) -> pd.DataFrame:
+def decoded(file: Path, table: Any) -> pd.DataFrame:
     """A pyarrow table or batch with its texts written out, where that is not more than a file may have."""
     import pyarrow as pa
     from pyarrow import compute
 
     pc: Any = compute  # its functions are made at run time
-    found = pa.table(found)
-    for k, field in enumerate(found.schema):
+    table = pa.table(table)
+    for k, field in enumerate(table.schema):
         if pa.types.is_dictionary(field.type):
             if _is_text(field.type.value_type):
-                letters = (pc.sum(pc.take(pc.binary_length(c.dictionary), c.indices)) for c in found.column(k).chunks)
+                letters = (pc.sum(pc.take(pc.binary_length(c.dictionary), c.indices)) for c in table.column(k).chunks)
                 if sum(n.as_py() or 0 for n in letters) > MAX_BYTES:
                     raise InputError(f"{file}: column {field.name!r}: more than {MAX_BYTES} letters, which are allowed")
-            found = found.set_column(k, field.name, found.column(k).cast(field.type.value_type))
-    return found.to_pandas(ignore_metadata=True)
+            table = table.set_column(k, field.name, table.column(k).cast(field.type.value_type))
+    return table.to_pandas(ignore_metadata=True)

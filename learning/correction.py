@@ -53,8 +53,8 @@ class Spread:
 
         by_output: of the scaled outputs; units: (n, rows, n_weights), None: the model alone.
         """
-        told = by_model @ self.basis
-        columns = told if units is None else np.concatenate([told, units], axis=2)
+        by_data = by_model @ self.basis
+        columns = by_data if units is None else np.concatenate([by_data, units], axis=2)
         rest = self.unexplained**2 * by_output @ by_output.swapaxes(1, 2)
         return self.inflation * (variance(columns, self.covariance) + rest)
 
@@ -89,12 +89,12 @@ class Correction:
         """(joint, period in readings, amplitude of the output) of the periodic errors, the largest first."""
         _, names = self.units.layout
         pairs = self.readout[[name == WAVES for name in names]].reshape(-1, 2)
-        found = []
+        waves = []
         for (joint, cycles), pair in zip(self.units.waves, pairs, strict=True):
             j = int(joint)
             amplitude = self.shrinkage * self.scale[j] * float(np.hypot(*pair))
-            found.append((j, float(2 * self.units.span[j] / cycles), float(amplitude)))
-        return sorted(found, key=lambda wave: -wave[2])
+            waves.append((j, float(2 * self.units.span[j] / cycles), float(amplitude)))
+        return sorted(waves, key=lambda wave: -wave[2])
 
     def share(self, x: np.ndarray) -> np.ndarray:
         """(n,) of the correction that is believed at x: shrinkage within the hull, falling smoothly to 0 outside."""

@@ -86,18 +86,18 @@ def posterior(sums: _Sums, group: np.ndarray, near: Posterior | None = None) -> 
         information[np.diag_indices_from(information)] += precision[group]
         covariance = _inverse(information)
         mean = -covariance @ (sums.cross / noise)
-        found = precision.copy()
+        precisions = precision.copy()
         for g, columns in enumerate(members):
             if g and len(columns):
                 determined = len(columns) - precision[g] * float(np.sum(np.diag(covariance)[columns]))
                 wanted = determined / max(float(np.sum(mean[columns] ** 2)), 1e-300)
-                found[g] = np.clip(wanted, *_PRECISIONS) if determined > _GONE else _PRECISIONS[1]
+                precisions[g] = np.clip(wanted, *_PRECISIONS) if determined > _GONE else _PRECISIONS[1]
         effective = len(group) - float(np.sum(precision[group] * np.diag(covariance)))
         left = float(sums.energy + 2 * mean @ sums.cross + mean @ sums.square @ mean)
         freedom = max(sums.n - effective, 1.0)
         wider = max(left / freedom, sums.least_noise)
-        moved = max(np.max(np.abs(np.log(found / precision))), abs(np.log(wider / noise)))
-        precision, noise = found, wider
+        moved = max(np.max(np.abs(np.log(precisions / precision))), abs(np.log(wider / noise)))
+        precision, noise = precisions, wider
         if moved < _SETTLED:
             break
     return Posterior(mean, covariance, precision, noise, freedom, _log_evidence(sums, group, precision, noise, mean))
@@ -145,9 +145,9 @@ def cross_validated(rows: Rows, folds: Sequence[np.ndarray]) -> tuple[Posterior,
     all_seen = posterior(whole, rows.group)
     error, spread = np.zeros_like(rows.error), np.zeros((*rows.error.shape, rows.error.shape[1]))
     for fold in folds:
-        found = posterior(whole.without(rows.sums(fold)), rows.group, all_seen)
-        error[fold] = rows.left(found.mean, fold)
-        spread[fold] = variance(rows.columns[fold], found.covariance)
+        fold_posterior = posterior(whole.without(rows.sums(fold)), rows.group, all_seen)
+        error[fold] = rows.left(fold_posterior.mean, fold)
+        spread[fold] = variance(rows.columns[fold], fold_posterior.covariance)
     return all_seen, Unseen(error, spread)
 
 

@@ -48,5 +48,5 @@ def inherit(
     gain = np.broadcast_to(np.diag(shares), (1, n, kept, kept))
     ones = np.ones((1, n))
     problem = Problem(network.scaled(x)[None], -(components * shares)[None], gain, ones, 0 * ones)
-    found = adam(problem, sizes, start[None], iterations=iterations, progress=progress)
-    return Inherited(network.with_weights(found.weights[0]), np.sqrt(np.mean(coefficients**2, axis=1))), found.curve
+    trained = adam(problem, sizes, start[None], iterations=iterations, progress=progress)
+    return Inherited(network.with_weights(trained.weights[0]), np.sqrt(np.mean(coefficients**2, axis=1))), trained.curve

@@ -51,13 +51,13 @@ def count(sizes: Sizes) -> int:
 
 def split(weights, sizes: Sizes) -> list:
     """Views W1 (H, n_in), b1, W2 (H, H), b2, W3 (n_out, H), b3 of flat weights (..., n_weights); numpy or torch."""
-    found, start = [], 0
+    parts, start = [], 0
     for n_in, n_out in pairwise(sizes):
-        found.append(weights[..., start : start + n_out * n_in].reshape(*weights.shape[:-1], n_out, n_in))
+        parts.append(weights[..., start : start + n_out * n_in].reshape(*weights.shape[:-1], n_out, n_in))
         start += n_out * n_in
-        found.append(weights[..., start : start + n_out])
+        parts.append(weights[..., start : start + n_out])
         start += n_out
-    return found
+    return parts
 
 
 def initial_weights(sizes: Sizes, random: np.random.Generator) -> np.ndarray:

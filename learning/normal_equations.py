@@ -98,11 +98,11 @@ def linearised(weights: Tensor, sizes: Sizes, rows: Rows) -> list[System]:
         members, each = Dual.of, 1
     else:
         members, each = Primal.of, max(1, _CHUNK // n)
-    found: list[System] = []
+    systems: list[System] = []
     for first in range(0, len(weights), each):
         some = slice(first, first + each)
-        found += members(weights[some], sizes, rows[some])
-    return found
+        systems += members(weights[some], sizes, rows[some])
+    return systems
 
 
 def _solved(matrix: Tensor, lift: float, right: Tensor) -> Tensor | None:
@@ -112,8 +112,8 @@ def _solved(matrix: Tensor, lift: float, right: Tensor) -> Tensor | None:
     """
     lifted = matrix.numpy().copy()
     lifted.reshape(-1)[:: len(lifted) + 1] += lift
-    _, found, info = _posv(lifted.T, right.numpy(), lower=True, overwrite_a=True)
-    return None if info else torch.from_numpy(found)
+    _, solution, info = _posv(lifted.T, right.numpy(), lower=True, overwrite_a=True)
+    return None if info else torch.from_numpy(solution)
 
 
 @dataclass(frozen=True)
@@ -247,10 +247,10 @@ def _places(sizes: Sizes) -> Tensor:
 
 def _symmetric(k: int) -> np.ndarray:
     """(k, k) the number of each pair in `np.triu_indices`."""
-    found = np.zeros((k, k), dtype=np.int64)
+    places = np.zeros((k, k), dtype=np.int64)
     i, j = np.triu_indices(k)
-    found[i, j] = found[j, i] = np.arange(len(i))
-    return found
+    places[i, j] = places[j, i] = np.arange(len(i))
+    return places
 
 
 @dataclass(frozen=True)

@@ -124,7 +124,7 @@ def learning_curve(task: Task, correction: Correction, seed: int) -> np.ndarray:
     model, refined = (_rows(seen, units, correction.scale) for units in (_only(correction.units, ()), correction.units))
     near = [posterior(rows.sums(slice(None)), rows.group) for rows in (model, refined)]
     noise = 1.0 if task.sigmas_known else min(near[1].noise, 1.0)
-    random, found = np.random.default_rng([seed, 14]), []
+    random, rows_of_curve = np.random.default_rng([seed, 14]), []
     sizes = [round(part * n) for part in _PARTS if part * n >= _LEAST_POSES]
     for size in sizes:
         squares: list[list[float]] = [[], []]
@@ -135,8 +135,8 @@ def learning_curve(task: Task, correction: Correction, seed: int) -> np.ndarray:
                 fitted = posterior(rows.sums(train), rows.group, all_seen)
                 square = np.sum(rows.left(fitted.mean, rest) ** 2, axis=1)
                 own.append(_trimmed_mean(square))
-        found.append((size, *(np.sqrt(max(np.mean(own) - noise * m, 0.0)) for own in squares)))
-    return np.array(found, dtype=float).reshape(-1, 3)
+        rows_of_curve.append((size, *(np.sqrt(max(np.mean(own) - noise * m, 0.0)) for own in squares)))
+    return np.array(rows_of_curve, dtype=float).reshape(-1, 3)
 
 
 def _trimmed_mean(square: np.ndarray) -> float:
@@ -170,18 +170,18 @@ def _rows(task: Task, units: Units, scale: np.ndarray) -> Rows:
     return Rows(task.error, np.concatenate([task.by_model, columns], axis=2), group, task.sigmas_known)
 
 
-def _spread(found: Posterior, unseen: Unseen, task: Task, scale: np.ndarray, basis: np.ndarray) -> Spread:
+def _spread(fitted: Posterior, unseen: Unseen, task: Task, scale: np.ndarray, basis: np.ndarray) -> Spread:
     """What the rows' noise has beyond the instruments' own, and chance, is taken for the actuators'.
 
     Where nobody knows the instruments, nearly all of it is: a region too wide does less harm.
     """
     outputs = task.by_output * scale
     mean_trace = float(np.mean(np.sum(outputs**2, axis=(1, 2)))) / task.error.shape[1]
-    noise = 1.0 if task.sigmas_known else _INSTRUMENTS * found.noise
-    beyond = max(found.noise * (1 - np.sqrt(2 / found.freedom)) - noise, 0.0)
+    noise = 1.0 if task.sigmas_known else _INSTRUMENTS * fitted.noise
+    beyond = max(fitted.noise * (1 - np.sqrt(2 / fitted.freedom)) - noise, 0.0)
     unexplained = np.sqrt(beyond / max(mean_trace, 1e-300))
     rest = unexplained**2 * outputs @ outputs.swapaxes(1, 2)
     m = task.error.shape[1]
-    unsure = m * fdtri(m, found.freedom, HELD) / chdtri(m, 1 - HELD)  # the noise is an estimate, too
+    unsure = m * fdtri(m, fitted.freedom, HELD) / chdtri(m, 1 - HELD)  # the noise is an estimate, too
     factor = float(unsure) * inflation(unseen.error, unseen.spread + rest, noise)
-    return Spread(basis, found.covariance, float(unexplained), factor)
+    return Spread(basis, fitted.covariance, float(unexplained), factor)

@@ -23,19 +23,19 @@ def delta(correction: Correction, x: ca.SX) -> ca.SX:
     def of(group: str) -> np.ndarray:
         return weights[np.array([name == group for name in names], dtype=bool)]
 
-    u, found = (x - units.centre) / units.span, ca.SX.zeros(k)
+    u, total = (x - units.centre) / units.span, ca.SX.zeros(k)
     if units.own:
         for j, row in enumerate(of(OWN).reshape(k, -1)):
-            found[j] += _radial(row, u[j])
+            total[j] += _radial(row, u[j])
     for (j, cycles), (sine, cosine) in zip(units.waves, of(WAVES).reshape(-1, 2), strict=True):
         phase = np.pi * cycles * (u[int(j)] + 1)
-        found[int(j)] += sine * ca.sin(phase) + cosine * ca.cos(phase)
+        total[int(j)] += sine * ca.sin(phase) + cosine * ca.cos(phase)
     if len(units.shared):
-        found += of(SHARED).reshape(k, -1) @ _tanh(units.shared[:, :-1] @ u + units.shared[:, -1])
+        total += of(SHARED).reshape(k, -1) @ _tanh(units.shared[:, :-1] @ u + units.shared[:, -1])
     if units.inherited is not None:
         by_shape = of(INHERITED).reshape(k, -1) * units.inherited.spread.T
-        found += _shapes(units.inherited.network, x, by_shape)
-    return found
+        total += _shapes(units.inherited.network, x, by_shape)
+    return total
 
 
 def share(correction: Correction, x: ca.SX) -> ca.SX:

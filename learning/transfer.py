@@ -52,9 +52,9 @@ def train(
     """
     first = networks[0]
     held, used = np.zeros((len(networks), len(joints))), np.zeros((len(networks), len(joints)))
-    for k, own in enumerate(rows):
-        n_held = round(validation * len(own)) if len(own) > 4 else 0
-        order = np.random.default_rng([seed, 7, len(own)]).permutation(own)
+    for k, rows_of_network in enumerate(rows):
+        n_held = round(validation * len(rows_of_network)) if len(rows_of_network) > 4 else 0
+        order = np.random.default_rng([seed, 7, len(rows_of_network)]).permutation(rows_of_network)
         held[k, order[:n_held]], used[k, order[n_held:]] = 1.0, 1.0
     problem = Problem(
         x=np.stack([network.scaled(joints) for network in networks]),
@@ -65,5 +65,5 @@ def train(
     )
     sizes = first.sizes
     start = np.stack([network.weights for network in networks])
-    found = levenberg_marquardt(problem, sizes, start, iterations=iterations, progress=progress)
-    return [network.with_weights(w) for network, w in zip(networks, found.weights, strict=True)], found
+    trained = levenberg_marquardt(problem, sizes, start, iterations=iterations, progress=progress)
+    return [network.with_weights(w) for network, w in zip(networks, trained.weights, strict=True)], trained

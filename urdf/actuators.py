@@ -21,8 +21,8 @@ class Actuators:
     @staticmethod
     def nominal(chain: ClosedChain, settings: Mapping[str, Actuator]) -> Actuators:
         """As robot.toml has them; where it says nothing a reading is the joint value."""
-        found = [settings.get(name, Actuator()) for name in chain.actuated_names]
-        return Actuators(np.array([a.gain for a in found]), np.array([a.zero for a in found]))
+        chosen = [settings.get(name, Actuator()) for name in chain.actuated_names]
+        return Actuators(np.array([a.gain for a in chosen]), np.array([a.zero for a in chosen]))
 
     def joints(self, readings: np.ndarray) -> np.ndarray:
         """Actuated joint values (n, n_actuated) [rad or m] of readings (n, n_actuated)."""

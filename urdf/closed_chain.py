@@ -137,13 +137,13 @@ def load_chain(mechanism: Mechanism, text: str, file: Path) -> ClosedChain:
             )
     base = _frame(model, mechanism.base_frame, "base_frame", file)
     if base[0] != BASE:
-        found = f"{mechanism.base_frame!r} moves with joint {names[base[0]]!r} of {file}"
-        raise InputError(f"base_frame: {found}; allowed is a frame that is fixed")
+        problem = f"{mechanism.base_frame!r} moves with joint {names[base[0]]!r} of {file}"
+        raise InputError(f"base_frame: {problem}; allowed is a frame that is fixed")
     tool = _frame(model, mechanism.tool_frame, "tool_frame", file)
     lower, upper = _limits(model)
     for j in np.flatnonzero(lower > upper):
-        found = f"[{lower[j]:.6g}, {upper[j]:.6g}]"
-        raise InputError(f"{file}: joint {names[j]!r}: its limits are {found}; allowed is the lower one first")
+        problem = f"[{lower[j]:.6g}, {upper[j]:.6g}]"
+        raise InputError(f"{file}: joint {names[j]!r}: its limits are {problem}; allowed is the lower one first")
     drawn = drawing.configuration
     placements = [Motion(m.rotation.copy(), m.translation.copy()) for m in list(model.jointPlacements)[1:]]
     loops = []
@@ -207,14 +207,14 @@ def _closure(model: pin.Model, loop: Loop, file: Path) -> DrawnLoop:
 
 def _frame(model: pin.Model, name: str, field: str, file: Path) -> tuple[int, Motion]:
     """The joint that carries a frame (BASE for none), and the frame's placement in that joint's frame."""
-    found = [f for f in model.frames if f.name == name and f.type != pin.FrameType.JOINT]
-    if len(found) > 1:
-        raise InputError(f"{field}: {file} has {len(found)} frames called {name!r}; their names must differ")
-    if not found:
+    frames = [f for f in model.frames if f.name == name and f.type != pin.FrameType.JOINT]
+    if len(frames) > 1:
+        raise InputError(f"{field}: {file} has {len(frames)} frames called {name!r}; their names must differ")
+    if not frames:
         legal = [f.name for f in model.frames if f.name != "universe"]
         raise InputError(f"{field}: frame {name!r} is not in {file}; {nearest(name, legal)}")
-    placement = found[0].placement
-    return found[0].parentJoint - 1, Motion(placement.rotation.copy(), placement.translation.copy())
+    placement = frames[0].placement
+    return frames[0].parentJoint - 1, Motion(placement.rotation.copy(), placement.translation.copy())
 
 
 def _axes(model: pin.Model) -> tuple[np.ndarray, np.ndarray]:

@@ -347,10 +347,10 @@ class Mechanism(_Table):
 
     @model_validator(mode="after")
     def _names(self) -> Mechanism:
-        for what, names in (("actuated", self.actuated), ("loop", [loop.name for loop in self.loop])):
+        for table, names in (("actuated", self.actuated), ("loop", [loop.name for loop in self.loop])):
             repeated = {n for n in names if list(names).count(n) > 1}
             if repeated:
-                raise ValueError(f"{what}: {sorted(repeated)[0]!r} stands there twice")
+                raise ValueError(f"{table}: {sorted(repeated)[0]!r} stands there twice")
         return self
 
 

@@ -92,22 +92,24 @@ def unit_of(file: Path, name: str, overrides: Sequence[str]) -> Robot:
         raise InputError(f"{file}: design: {error}") from None
     settings = [Setting(("name",), name, where)]
     seed = {} if unit.seed is None else {"measure.seed": unit.seed}
-    for table, said in ((fleet.set, f"{file}: set"), (seed, f"{where}: seed"), (unit.set, f"{where}: set")):
-        for keys, value in _leaves(table, said):
+    for table, origin in ((fleet.set, f"{file}: set"), (seed, f"{where}: seed"), (unit.set, f"{where}: set")):
+        for keys, value in _leaves(table, origin):
             if keys == ("name",):
-                raise InputError(f"{said}: name: a unit's name is the one of [[unit]]")
-            settings.append(Setting(keys, relative_to(file.parent, keys, value), said))
+                raise InputError(f"{origin}: name: a unit's name is the one of [[unit]]")
+            settings.append(Setting(keys, relative_to(file.parent, keys, value), origin))
     return Robot(design, described(design, [*settings, *map(parse_override, overrides)]), fleet=file)
 
 
-def _leaves(table: Mapping[str, Any], said: str, before: tuple[str, ...] = ()) -> Iterator[tuple[tuple[str, ...], Any]]:
+def _leaves(
+    table: Mapping[str, Any], origin: str, before: tuple[str, ...] = ()
+) -> Iterator[tuple[tuple[str, ...], Any]]:
     """{"a.b": 1, c: {d: 2}} -> (a, b) 1, (c, d) 2: a table changes the keys that it has, the others stay."""
     for key, value in table.items():
         keys = (*before, *(part.strip() for part in key.split(".")))
         if len(keys) > _DEEPEST:
-            raise InputError(f"{said}: {'.'.join(keys[:3])}...: nested too deeply")
+            raise InputError(f"{origin}: {'.'.join(keys[:3])}...: nested too deeply")
         if isinstance(value, dict):
-            yield from _leaves(value, said, keys)
+            yield from _leaves(value, origin, keys)
         else:
             yield keys, value
 

@@ -25,15 +25,15 @@ _LONG_KEY = re.compile(rf"(?<![\w.-]){_PART}(?:[ \t]*+\.[ \t]*+{_PART}){{{MAX_KE
 def check_file(file: Path, largest: int | None = None) -> None:
     """InputError where a file can't be read or is too large, and for pipes and devices, which may never end."""
     try:
-        found = file.stat()
+        status = file.stat()
     except (OSError, ValueError) as error:  # ValueError: no file system has a name with a NUL
         raise unreadable(file, error) from None
-    if stat.S_ISDIR(found.st_mode):
+    if stat.S_ISDIR(status.st_mode):
         raise InputError(f"{file}: can't be read: it is a folder")
-    if not stat.S_ISREG(found.st_mode):
+    if not stat.S_ISREG(status.st_mode):
         raise InputError(f"{file}: can't be read: it is a pipe or a device; allowed are files")
-    if largest is not None and found.st_size > largest:
-        raise InputError(f"{file}: {found.st_size} bytes; allowed are {largest}")
+    if largest is not None and status.st_size > largest:
+        raise InputError(f"{file}: {status.st_size} bytes; allowed are {largest}")
 
 
 def is_missing(file: str | Path) -> bool:

@@ -66,12 +66,12 @@ class Closure:
             _placed(self.residual, rows, other.residual),
         )
 
-    def require(self, what: Callable[[int], str]) -> Closure:
-        """This closure, if every row is closed; else InputError that begins with what(row)."""
+    def require(self, name_of_row: Callable[[int], str]) -> Closure:
+        """This closure, if every row is closed; else InputError that begins with name_of_row(row)."""
         if not self.closed.all():
             row = int(np.flatnonzero(~self.closed)[0])
             raise InputError(
-                f"{what(row)}: the loops can't be closed there (residual {self.residual[row]:.3g} m or rad)"
+                f"{name_of_row(row)}: the loops can't be closed there (residual {self.residual[row]:.3g} m or rad)"
             )
         return self
 
@@ -261,9 +261,9 @@ def _solve(problem: _Problem, target: np.ndarray, home_target: np.ndarray, start
     chain = problem.chain
     q = np.tile(chain.home, (len(target), 1)) if start is None else start
     branch = np.linalg.slogdet(problem.jacobian(tree(chain, chain.home[None])))[0][0]
-    found = _newton(problem, q, target, branch)
+    closure = _newton(problem, q, target, branch)
     for steps in _CONTINUATION:
-        todo = np.flatnonzero(~found.closed)
+        todo = np.flatnonzero(~closure.closed)
         if not len(todo):
             break
         path = np.tile(chain.home, (len(todo), 1))
@@ -271,8 +271,8 @@ def _solve(problem: _Problem, target: np.ndarray, home_target: np.ndarray, start
             here = home_target + fraction * (target[todo] - home_target)
             again = _newton(problem, path, here, branch)
             path = again.q
-        found = found.replaced(todo, again)
-    return found
+        closure = closure.replaced(todo, again)
+    return closure
 
 
 def _newton(problem: _Problem, q: np.ndarray, target: np.ndarray, branch: float) -> Closure:

@@ -110,18 +110,18 @@ class _Tree:
     def _body(self, element, placed: Motion, on: str, childclass: str) -> list:
         """Add a body, its joints and sites; what is left to do: the bodies in it, the last one first."""
         name = element.get("name") or self._new_name("body")
-        what = f"body {name!r}"
+        label = f"body {name!r}"
         if name in self.bodies:
             raise InputError(f"{self.text.file}: two bodies are called {name!r}; their names must differ")
         if element.get("mocap") == "true":
-            raise InputError(f"{self.text.file}: {what} is moved by hand (mocap); leave it out")
-        parent, pose = self.bodies[on], placed @ self.text.placement(element.attrib, what)
+            raise InputError(f"{self.text.file}: {label} is moved by hand (mocap); leave it out")
+        parent, pose = self.bodies[on], placed @ self.text.placement(element.attrib, label)
         childclass = element.get("childclass", childclass)
         frame = _Frame(parent.joint, parent.placement @ pose, parent.drawn @ pose)
-        found = [(e, at, own) for e, at, own in _contents(element, childclass, self.text) if e.tag in _JOINTS]
-        if len(found) > 1 and any(self._kind(e, own) == "free" for e, _, own in found):
-            raise InputError(f"{self.text.file}: {what} has a free joint and others; allowed is the free one alone")
-        for k, (joint, at, own) in enumerate(found):
+        joints = [(e, at, own) for e, at, own in _contents(element, childclass, self.text) if e.tag in _JOINTS]
+        if len(joints) > 1 and any(self._kind(e, own) == "free" for e, _, own in joints):
+            raise InputError(f"{self.text.file}: {label} has a free joint and others; allowed is the free one alone")
+        for k, (joint, at, own) in enumerate(joints):
             default = f"{name}_free" if self._kind(joint, own) == "free" else f"{name}_joint{k + 1 if k else ''}"
             frame = self._joint(joint, joint.get("name") or default, at, own, frame)
         self.bodies[name] = replace(frame, parent=on)
@@ -139,31 +139,33 @@ class _Tree:
 
     def _joint(self, element, name: str, placed: Motion, childclass: str, body: _Frame) -> _Frame:
         """Add a joint of `body`, at `placed` in it; the body's frame after that joint."""
-        what, kind = f"joint {name!r}", self._kind(element, childclass)
+        label, kind = f"joint {name!r}", self._kind(element, childclass)
         if kind == "free":
-            return self._free(name, what, body)
+            return self._free(name, label, body)
         attributes = self.text.attributes(element, childclass)
         at = Motion(
-            np.eye(3), placed.rotation @ self.text.numbers(attributes, "pos", "0 0 0", what) + placed.translation
+            np.eye(3), placed.rotation @ self.text.numbers(attributes, "pos", "0 0 0", label) + placed.translation
         )
         anchor = body.placement @ at
-        limits = self._limits(attributes, kind, what)
+        limits = self._limits(attributes, kind, label)
         if kind == "ball":
             self._add([(f"{name}_{c}", c, False, limits) for c in "xyz"], body.joint, anchor)
         elif kind in ("hinge", "slide"):
-            axis = placed.rotation @ self.text.direction(attributes, "axis", "0 0 1", what)
+            axis = placed.rotation @ self.text.direction(attributes, "axis", "0 0 1", label)
             unit = 1.0 if kind == "slide" else self.text.angle
-            drawn = unit * float(self.text.numbers(attributes, "ref", "0", what)[0])
+            drawn = unit * float(self.text.numbers(attributes, "ref", "0", label)[0])
             back = -drawn * axis  # the file shows the joint at `ref`: its placement is that of its zero
             start = Motion(np.eye(3), back) if kind == "slide" else Motion(exp(back), np.zeros(3))
             self.joints.append(_Joint(name, axis, kind == "slide", body.joint, anchor @ start, limits, drawn))
         else:
-            raise InputError(f"{self.text.file}: {what} has type {kind!r}; allowed are hinge, slide, ball, free")
+            raise InputError(f"{self.text.file}: {label} has type {kind!r}; allowed are hinge, slide, ball, free")
         return _Frame(len(self.joints) - 1, at.inverse(), body.drawn)
 
-    def _free(self, name: str, what: str, body: _Frame) -> _Frame:
+    def _free(self, name: str, label: str, body: _Frame) -> _Frame:
         if body.joint != BASE:
-            raise InputError(f"{self.text.file}: {what} is free, but its body hangs on another joint; allowed: on none")
+            raise InputError(
+                f"{self.text.file}: {label} is free, but its body hangs on another joint; allowed: on none"
+            )
         endless, at = (-np.inf, np.inf), body.placement
         self._add([(f"{name}_{c}", c, True, endless) for c in "xyz"], BASE, Motion(np.eye(3), at.translation))
         turning = [(f"{name}_r{c}", c, False, endless) for c in "xyz"]
@@ -176,19 +178,21 @@ class _Tree:
             self.joints.append(_Joint(name, np.eye(3)["xyz".index(axis)], slides, parent, placement, limits))
             parent, placement = len(self.joints) - 1, _IDENTITY
 
-    def _limits(self, attributes: Attributes, kind: str, what: str) -> tuple[float, float]:
+    def _limits(self, attributes: Attributes, kind: str, label: str) -> tuple[float, float]:
         """[rad or m]; of a ball joint those of each of its three angles: none is beyond the whole rotation's."""
         limited = attributes.get("limited", "auto")
         if limited not in ("true", "false", "auto"):
-            raise InputError(f"{self.text.file}: {what}: limited is {limited!r}; allowed are true, false, auto")
+            raise InputError(f"{self.text.file}: {label}: limited is {limited!r}; allowed are true, false, auto")
         if limited == "auto" and "range" in attributes and not self.text.autolimits:
-            raise InputError(f'{self.text.file}: {what} has a range but no `limited`, which autolimits="false" demands')
-        low, high = self.text.numbers(attributes, "range", "0 0", what) * (1.0 if kind == "slide" else self.text.angle)
+            raise InputError(
+                f'{self.text.file}: {label} has a range but no `limited`, which autolimits="false" demands'
+            )
+        low, high = self.text.numbers(attributes, "range", "0 0", label) * (1.0 if kind == "slide" else self.text.angle)
         if limited == "false" or (limited == "auto" and "range" not in attributes):
             return (-np.inf, np.inf)
         if not low < high or (kind == "ball" and low != 0):
             allowed = "0 and a positive angle" if kind == "ball" else "two numbers, the lower one first"
-            raise InputError(f"{self.text.file}: {what}: range is {attributes.get('range')!r}; allowed: {allowed}")
+            raise InputError(f"{self.text.file}: {label}: range is {attributes.get('range')!r}; allowed: {allowed}")
         if kind == "ball":
             return (-high, high) if high <= np.pi / 2 else (-np.inf, np.inf)
         return float(low), float(high)
@@ -235,24 +239,24 @@ def _loops(root, tree: _Tree) -> tuple[DrawnLoop, ...]:
         name = element.get("name") or next(
             n for k in range(1, len(elements) + 2) if (n := f"{element.tag}{k}") not in taken
         )
-        what = f"equality {name!r}"
+        label = f"equality {name!r}"
         if names.count(name) > 1:
             raise InputError(f"{file}: two equalities are called {name!r}; their names must differ")
         taken.add(name)
         if element.tag not in ("connect", "weld"):
             raise InputError(
-                f"{file}: {what} is of type <{element.tag}>; allowed are <connect> and <weld>: leave it out"
+                f"{file}: {label} is of type <{element.tag}>; allowed are <connect> and <weld>: leave it out"
             )
         attributes = tree.text.attributes(element, tag="equality")
         if attributes.get("active", "true") != "true":
-            raise InputError(f"{file}: {what} is not active; leave it out, or close that loop")
-        loops.append(_loop(element.tag, name, attributes, tree, what))
+            raise InputError(f"{file}: {label} is not active; leave it out, or close that loop")
+        loops.append(_loop(element.tag, name, attributes, tree, label))
     return tuple(loops)
 
 
-def _loop(tag: str, name: str, attributes: Attributes, tree: _Tree, what: str) -> DrawnLoop:
+def _loop(tag: str, name: str, attributes: Attributes, tree: _Tree, label: str) -> DrawnLoop:
     """connect: two points meet; weld: two frames."""
-    where = f"{tree.text.file}: {what}"
+    where = f"{tree.text.file}: {label}"
     by_site = [key for key in ("site1", "site2") if key in attributes]
     by_body = [key for key in ("body1", "body2", "anchor", "relpose") if key in attributes]
     if (by_site and (by_body or len(by_site) < 2)) or not (by_site or "body1" in attributes):
@@ -267,21 +271,21 @@ def _loop(tag: str, name: str, attributes: Attributes, tree: _Tree, what: str) -
     if tag == "connect":
         if "anchor" not in attributes:
             raise InputError(f"{where} needs an anchor, in the frame of {names[0]!r}")
-        at = Motion(np.eye(3), tree.text.numbers(attributes, "anchor", "0 0 0", what))
+        at = Motion(np.eye(3), tree.text.numbers(attributes, "anchor", "0 0 0", label))
         meeting = second.drawn.inverse() @ first.drawn @ at  # where they are in the configuration that the file shows
         inner = (at, Motion(np.eye(3), meeting.translation))
     else:
-        inner = _weld(attributes, first, second, tree.text, what)
+        inner = _weld(attributes, first, second, tree.text, label)
     placed = (first.placement @ inner[0], second.placement @ inner[1])
     return DrawnLoop(name, kind, names, (first.joint, second.joint), placed)
 
 
-def _weld(attributes: Attributes, first: _Frame, second: _Frame, text: MjcfText, what: str) -> tuple[Motion, Motion]:
+def _weld(attributes: Attributes, first: _Frame, second: _Frame, text: MjcfText, label: str) -> tuple[Motion, Motion]:
     """The frame at the anchor, in either body: the anchor is written in the second's, its pose in the first's."""
-    if text.numbers(attributes, "torquescale", "1", what)[0] <= 0:
-        raise InputError(f"{text.file}: {what}: torquescale leaves the orientation free; write it as <connect>")
-    at = Motion(np.eye(3), text.numbers(attributes, "anchor", "0 0 0", what))
-    pose = text.numbers(attributes, "relpose", "0 0 0 0 0 0 0", what)
+    if text.numbers(attributes, "torquescale", "1", label)[0] <= 0:
+        raise InputError(f"{text.file}: {label}: torquescale leaves the orientation free; write it as <connect>")
+    at = Motion(np.eye(3), text.numbers(attributes, "anchor", "0 0 0", label))
+    pose = text.numbers(attributes, "relpose", "0 0 0 0 0 0 0", label)
     if not np.any(pose[3:]):  # MuJoCo's way to say: as the file shows them
         return first.drawn.inverse() @ second.drawn @ at, at
     return Motion(from_quaternion(pose[3:] / np.linalg.norm(pose[3:])), pose[:3]), at

@@ -38,9 +38,9 @@ class MjcfText:
             settings |= compiler.attrib
         allowed = {"angle": ("degree", "radian"), "coordinate": ("local",), "autolimits": ("true", "false")}
         for key, values in allowed.items():
-            found = settings.get(key, values[0])
-            if found not in values:
-                raise InputError(f"{file}: compiler: {key} is {found!r}; allowed are {', '.join(values)}")
+            setting = settings.get(key, values[0])
+            if setting not in values:
+                raise InputError(f"{file}: compiler: {key} is {setting!r}; allowed are {', '.join(values)}")
         sequence = settings.get("eulerseq", "xyz")
         if len(sequence) != 3 or set(sequence.lower()) - set("xyz"):
             raise InputError(f"{file}: compiler: eulerseq is {sequence!r}; allowed are three of x, y, z, X, Y, Z")
@@ -54,16 +54,16 @@ class MjcfText:
         """Read a class and those inside it; each starts as a copy of the one around it."""
         if depth > _DEEPEST:
             raise InputError(f"{self.file}: default: classes inside {depth} others; allowed are {_DEEPEST}")
-        own = self.classes[name]
+        settings = self.classes[name]
         for element in default:
             if element.tag != "default":
-                own[element.tag] = _overlaid(own.get(element.tag, {}), element.attrib)
+                settings[element.tag] = _overlaid(settings.get(element.tag, {}), element.attrib)
         for inner in default.findall("default"):
             inner_name = inner.get("class")
             if not inner_name or inner_name in self.classes:
-                what = "a class without a name" if not inner_name else f"two classes are called {inner_name!r}"
-                raise InputError(f"{self.file}: default: {what}; every class needs a name of its own")
-            self.classes[inner_name] = {tag: dict(attributes) for tag, attributes in own.items()}
+                problem = "a class without a name" if not inner_name else f"two classes are called {inner_name!r}"
+                raise InputError(f"{self.file}: default: {problem}; every class needs a name of its own")
+            self.classes[inner_name] = {tag: dict(attributes) for tag, attributes in settings.items()}
             self._add_class(inner, inner_name, depth + 1)
 
     def attributes(self, element, childclass: str = "main", tag: str | None = None) -> Attributes:
@@ -73,7 +73,7 @@ class MjcfText:
             raise InputError(f"{self.file}: default class {name!r} does not exist; {nearest(name, self.classes)}")
         return _overlaid(self.classes[name].get(tag or element.tag, {}), element.attrib)
 
-    def numbers(self, attributes: Attributes, key: str, default: str, what: str) -> np.ndarray:
+    def numbers(self, attributes: Attributes, key: str, default: str, label: str) -> np.ndarray:
         """As many finite numbers as the default has."""
         text, n = attributes.get(key, default), len(default.split())
         try:
@@ -82,38 +82,38 @@ class MjcfText:
             values = np.zeros(0)
         if len(values) != n or not np.all(np.abs(values) < (MAX_NUMBER if key != "range" else np.inf)):
             numbers = "one finite number" if n == 1 else f"{n} finite numbers"
-            raise InputError(f"{self.file}: {what}: {key} is {text!r}; allowed: {numbers}")
+            raise InputError(f"{self.file}: {label}: {key} is {text!r}; allowed: {numbers}")
         return values
 
-    def direction(self, attributes: Attributes, key: str, default: str, what: str) -> np.ndarray:
-        return self._normalised(self.numbers(attributes, key, default, what), key, what)
+    def direction(self, attributes: Attributes, key: str, default: str, label: str) -> np.ndarray:
+        return self._normalised(self.numbers(attributes, key, default, label), key, label)
 
-    def _normalised(self, vector: np.ndarray, key: str, what: str) -> np.ndarray:
+    def _normalised(self, vector: np.ndarray, key: str, label: str) -> np.ndarray:
         length = np.linalg.norm(vector)
         if length < 1e-9:
-            raise InputError(f"{self.file}: {what}: {key} is zero; allowed is a direction")
+            raise InputError(f"{self.file}: {label}: {key} is zero; allowed is a direction")
         return vector / length
 
-    def placement(self, attributes: Attributes, what: str) -> Motion:
+    def placement(self, attributes: Attributes, label: str) -> Motion:
         """A pose in its parent: `pos` and one of five ways to write an orientation."""
         given = [key for key in _ORIENTATIONS if key in attributes]
         if len(given) > 1:
-            raise InputError(f"{self.file}: {what}: has {given[0]} and {given[1]}; allowed is one orientation")
-        rotation = self._orientation(attributes, given[0], what) if given else np.eye(3)
-        return Motion(rotation, self.numbers(attributes, "pos", "0 0 0", what))
+            raise InputError(f"{self.file}: {label}: has {given[0]} and {given[1]}; allowed is one orientation")
+        rotation = self._orientation(attributes, given[0], label) if given else np.eye(3)
+        return Motion(rotation, self.numbers(attributes, "pos", "0 0 0", label))
 
-    def _orientation(self, attributes: Attributes, key: str, what: str) -> np.ndarray:
-        values = self.numbers(attributes, key, " ".join("0" * _ORIENTATIONS[key]), what)
+    def _orientation(self, attributes: Attributes, key: str, label: str) -> np.ndarray:
+        values = self.numbers(attributes, key, " ".join("0" * _ORIENTATIONS[key]), label)
         if key == "quat":
-            return from_quaternion(self._normalised(values, key, what))
+            return from_quaternion(self._normalised(values, key, label))
         if key == "axisangle":
-            return exp(self._normalised(values[:3], key, what) * values[3] * self.angle)
+            return exp(self._normalised(values[:3], key, label) * values[3] * self.angle)
         if key == "xyaxes":
-            x = self._normalised(values[:3], key, what)
-            y = self._normalised(values[3:] - x * (x @ values[3:]), key, what)
+            x = self._normalised(values[:3], key, label)
+            y = self._normalised(values[3:] - x * (x @ values[3:]), key, label)
             return np.stack([x, y, np.cross(x, y)], axis=1)
         if key == "zaxis":
-            z = self._normalised(values, key, what)
+            z = self._normalised(values, key, label)
             across = np.array([-z[1], z[0], 0.0])
             sine = np.linalg.norm(across)
             axis = across / sine if sine > 1e-10 else np.array([1.0, 0.0, 0.0])
@@ -125,11 +125,11 @@ class MjcfText:
         return rotation
 
 
-def _overlaid(defaults: Attributes, own: Attributes) -> dict[str, str]:
+def _overlaid(defaults: Attributes, attributes: Attributes) -> dict[str, str]:
     """Own attributes over defaults; an orientation of one's own replaces one that is written another way."""
-    if any(key in own for key in _ORIENTATIONS):
+    if any(key in attributes for key in _ORIENTATIONS):
         defaults = {key: value for key, value in defaults.items() if key not in _ORIENTATIONS}
-    return {key: value for key, value in {**defaults, **own}.items() if key != "class"}
+    return {key: value for key, value in {**defaults, **attributes}.items() if key != "class"}
 
 
 def from_quaternion(wxyz: np.ndarray) -> np.ndarray:

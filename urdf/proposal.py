@@ -128,9 +128,9 @@ def _closing(drawing: Drawing, bare: ClosedChain, links: Sequence[Link]) -> _Clo
     size = size_of(bare, links)
     seen: _Closing | None = None
     for tolerance, how in zip(TOLERANCES, ("coinciding", "nearly"), strict=True):
-        found, q = coinciding(bare, links, tolerance * size)
-        if found and not (seen and len(found) <= len(seen.meetings)):
-            kept, repeated = _without_repeats(replace(bare, home=q), found)
+        meetings, q = coinciding(bare, links, tolerance * size)
+        if meetings and not (seen and len(meetings) <= len(seen.meetings)):
+            kept, repeated = _without_repeats(replace(bare, home=q), meetings)
             aligned = all(meeting.turned < max(_ALIGNED, tolerance) for meeting in kept)
             idea = _Closing(bare, how, meetings=tuple(kept), candidates=tuple(repeated))
             closing = _mechanism(bare, idea, ("point", "frame") if aligned else ("point",), links)
@@ -148,11 +148,11 @@ def _closing(drawing: Drawing, bare: ClosedChain, links: Sequence[Link]) -> _Clo
     return seen or _Closing(bare, "none", candidates=tuple(candidates))
 
 
-def _without_repeats(bare: ClosedChain, found: Sequence[Meeting]) -> tuple[list[Meeting], list[Meeting]]:
+def _without_repeats(bare: ClosedChain, meetings: Sequence[Meeting]) -> tuple[list[Meeting], list[Meeting]]:
     """Two bodies that meet twice meet as a hinge: loops that add dependent equations only are left out."""
     kept: list[Meeting] = []
     repeated: list[Meeting] = []
-    for meeting in found:
+    for meeting in meetings:
         joints = {end.joint for end in meeting.ends}
         again = any({end.joint for end in other.ends} == joints for other in kept)
         (repeated if again and _dependent(with_loops(bare, [*kept, meeting], "point")) else kept).append(meeting)
@@ -207,9 +207,9 @@ def _tool(chain: ClosedChain, links: Sequence[Link]) -> Link:
         joint = max(depth, key=lambda j: (meeting[j], depth[j]))
         return max((link for link in moving if link.joint == joint), key=lambda link: link.children)
     joint = max(depth, key=lambda j: depth[j])
-    there = [link for link in moving if link.joint == joint]
-    called = [link for link in there if re.search(_TOOL_NAMES, link.name)]
-    return (called or there)[-1]
+    on_joint = [link for link in moving if link.joint == joint]
+    called = [link for link in on_joint if re.search(_TOOL_NAMES, link.name)]
+    return (called or on_joint)[-1]
 
 
 def _motions(chain: ClosedChain) -> np.ndarray:
@@ -262,10 +262,10 @@ def _axes(chain: ClosedChain, free: int) -> tuple[tuple[int, ...], str | None]:
     sizes = [np.linalg.norm(part) for part in (rates[:3], rates[3:])]
     if min(sizes) > 1e-9 * max(sizes):
         rates[:3] *= sizes[1] / sizes[0]
-    found = np.linalg.matrix_rank(rates, tol=1e-6 * max(np.linalg.norm(rates), 1e-300))
-    if found < free:
+    rank = np.linalg.matrix_rank(rates, tol=1e-6 * max(np.linalg.norm(rates), 1e-300))
+    if rank < free:
         return (), (
-            f"the mechanism has {free} degrees of freedom, but the tool shows {found} of them: a part turns on itself "
+            f"the mechanism has {free} degrees of freedom, but the tool shows {rank} of them: a part turns on itself "
             "or moves alone (make that joint fixed), a loop is missing, or it should be one of frames"
         )
     rates /= max(np.linalg.norm(rates), 1e-300)
@@ -342,11 +342,11 @@ def _configurations(chain: ClosedChain, closed: ClosedChain) -> Iterator[np.ndar
     yield closed.home
     starts = random_configurations(chain, 5 if chain.n_equations else 300, 1)
     middle = np.mean(starts, axis=0)
-    found = []
+    configurations = []
     for start in middle + 0.6 * (starts - middle):
         with suppress(InputError):
-            found.append(_near(closed, start).home if chain.n_equations else start)
-    yield from sorted(found, key=lambda q: _condition(chain, q))[:4]
+            configurations.append(_near(closed, start).home if chain.n_equations else start)
+    yield from sorted(configurations, key=lambda q: _condition(chain, q))[:4]
 
 
 def _centred(closed: ClosedChain) -> np.ndarray:
@@ -386,9 +386,9 @@ def _near(closed: ClosedChain, q: np.ndarray) -> ClosedChain:
 
 
 def _condition(chain: ClosedChain, q: np.ndarray) -> float:
-    there = replace(chain, home=q, home_pose=tool_pose(chain, tree(chain, q[None]))[0])
+    moved_chain = replace(chain, home=q, home_pose=tool_pose(chain, tree(chain, q[None]))[0])
     try:
-        return float(condition_numbers(there, q[None])[0])
+        return float(condition_numbers(moved_chain, q[None])[0])
     except np.linalg.LinAlgError:
         return np.inf
 

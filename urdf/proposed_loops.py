@@ -56,12 +56,12 @@ def links_of(drawing: Drawing) -> list[Link]:
     frames = list(drawing.model.frames)
     names = Counter(f.name for f in frames if f.type != pin.FrameType.JOINT)
     children = Counter(f.parentFrame for f in frames[1:])
-    found = []
+    links = []
     for index, f in enumerate(frames):
         if f.type in kinds and names[f.name] == 1:
             placement = Motion(f.placement.rotation.copy(), f.placement.translation.copy())
-            found.append(Link(f.name, f.parentJoint - 1, placement, children[index]))
-    return found if len(found) <= _MAX_FRAMES else [link for link in found if not link.leaf][:_MAX_FRAMES]
+            links.append(Link(f.name, f.parentJoint - 1, placement, children[index]))
+    return links if len(links) <= _MAX_FRAMES else [link for link in links if not link.leaf][:_MAX_FRAMES]
 
 
 def size_of(chain: ClosedChain, links: Sequence[Link]) -> float:
@@ -78,9 +78,9 @@ def coinciding(chain: ClosedChain, links: Sequence[Link], tolerance: float) -> t
     joint coincides by chance (a slide of length zero).
     """
     for q in _drawn(chain):
-        found = list(_coinciding(chain, links, tolerance, q))
-        if found:
-            return _named(found), q
+        meetings = list(_coinciding(chain, links, tolerance, q))
+        if meetings:
+            return _named(meetings), q
     return [], chain.drawn
 
 
@@ -202,13 +202,13 @@ def _positions(links: Sequence[Link], frames: Tree) -> np.ndarray:
     return np.stack([frames.point(link.joint, link.placement.translation) for link in links], axis=1)
 
 
-def _named(found: list[Meeting]) -> list[Meeting]:
+def _named(meetings: list[Meeting]) -> list[Meeting]:
     """With a name each: the leg's, as its end has it (leg1_tip: leg1), where these differ."""
-    stems = [re.match(r"[A-Za-z]+[_-]?\d+(?:[_-][A-Za-z]+\d+)*", m.ends[0].name) for m in found]
+    stems = [re.match(r"[A-Za-z]+[_-]?\d+(?:[_-][A-Za-z]+\d+)*", m.ends[0].name) for m in meetings]
     names = [stem[0] if stem else "" for stem in stems]
     if "" in names or len(set(names)) < len(names) or max(map(len, names), default=0) > 40:
-        names = [f"loop{k}" for k in range(1, len(found) + 1)]
-    return [replace(m, name=name) for m, name in zip(found, names, strict=True)]
+        names = [f"loop{k}" for k in range(1, len(meetings) + 1)]
+    return [replace(m, name=name) for m, name in zip(meetings, names, strict=True)]
 
 
 def random_configurations(chain: ClosedChain, n: int, seed: int) -> np.ndarray:

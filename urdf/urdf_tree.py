@@ -27,11 +27,11 @@ def read_urdf(root, text: str, file: Path) -> Drawing:
     Raises InputError for a URDF that is no tree, and for what pinocchio can't read.
     """
     link = _check_tree(root, file)
-    with _stderr() as said:
+    with _stderr() as errors:
         try:
             model = pin.buildModelFromXML(text)
         except (ValueError, RuntimeError) as error:
-            why = _first_line(said) or str(error)
+            why = _first_line(errors) or str(error)
             raise InputError(f"{file}: not a URDF that pinocchio can read: {why}") from None
     return Drawing(model, np.zeros(model.njoints - 1), link)
 
@@ -39,20 +39,20 @@ def read_urdf(root, text: str, file: Path) -> Drawing:
 @contextmanager
 def _stderr() -> Iterator[IO[bytes]]:
     """What the URDF parser below pinocchio prints; it has no other way to say what it misses."""
-    with tempfile.TemporaryFile() as said:
+    with tempfile.TemporaryFile() as captured:
         sys.stderr.flush()
         kept = os.dup(2)
-        os.dup2(said.fileno(), 2)
+        os.dup2(captured.fileno(), 2)
         try:
-            yield said
+            yield captured
         finally:
             os.dup2(kept, 2)
             os.close(kept)
 
 
-def _first_line(said: IO[bytes]) -> str:
-    said.seek(0)
-    first = said.read(2000).decode(errors="replace").partition("\n")[0]
+def _first_line(stream: IO[bytes]) -> str:
+    stream.seek(0)
+    first = stream.read(2000).decode(errors="replace").partition("\n")[0]
     return first.removeprefix("Error:").strip()
 
 
@@ -101,8 +101,8 @@ def _check_tree(root, file: Path) -> str:
 def _check_connected(links: list[str], parent_of: Mapping[str, str], file: Path) -> str:
     roots = [link for link in links if link not in parent_of]
     if len(roots) != 1:
-        found = ", ".join(map(repr, roots[:4])) if roots else "none (the links form a ring)"
-        raise InputError(f"{file}: a URDF must be one tree with one root link; found {found}")
+        listed_roots = ", ".join(map(repr, roots[:4])) if roots else "none (the links form a ring)"
+        raise InputError(f"{file}: a URDF must be one tree with one root link; found {listed_roots}")
     for link in links:
         seen = {link}
         while link in parent_of:
@@ -131,8 +131,8 @@ def _check_numbers(joint, name: str, file: Path) -> None:
                 raise InputError(f"{file}: joint {name!r}: the axis is zero; allowed is a direction")
 
 
-def _attribute(element, key: str, file: Path, what: str) -> str:
+def _attribute(element, key: str, file: Path, label: str) -> str:
     value = element.get(key)
     if not value:
-        raise InputError(f"{file}: {what} without {key!r}")
+        raise InputError(f"{file}: {label} without {key!r}")
     return value

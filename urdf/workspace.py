@@ -122,21 +122,21 @@ def check_workspace(chain: ClosedChain, workspace: Workspace) -> WorkspaceReport
     free, void = mobility(chain), _void_at_home(chain)
     if len(void):
         raise InputError(what_to_do(chain, void))
-    for what, count in (("actuated joints", len(chain.actuated)), ("axes in [workspace]", len(chain.tool_axes))):
+    for counted, count in (("actuated joints", len(chain.actuated)), ("axes in [workspace]", len(chain.tool_axes))):
         if count != free:
-            raise InputError(f"mobility: the mechanism has {free} degrees of freedom at home, but {count} {what}")
+            raise InputError(f"mobility: the mechanism has {free} degrees of freedom at home, but {count} {counted}")
     axes = chain.tool_axes
     per_axis = next(k for k in (11, 9, 7, 5, 4, 3) if k ** len(axes) <= _GRID_POINTS or k == 3)
     _check_condition(chain, workspace, np.zeros((1, 6)), chain.home[None])
     corners = grid(workspace, axes, [2] * len(axes))
     _require_reached(chain, inverse(chain, corners), corners)  # few poses: what is hopeless is soon refused
     u = grid(workspace, axes, [per_axis] * len(axes))
-    found = inverse(chain, u)
-    _require_reached(chain, found, u)
-    worst, where = _check_condition(chain, workspace, u, found.q)
-    check_limits(chain, found.q, lambda row: f"workspace: pose ({describe(u[row], axes)})")
-    back = forward(chain, found.q[:, chain.actuated])
-    apart = np.abs(tool_coordinates(chain, back.pose) - tool_coordinates(chain, found.pose)).max(axis=1)
+    closure = inverse(chain, u)
+    _require_reached(chain, closure, u)
+    worst, where = _check_condition(chain, workspace, u, closure.q)
+    check_limits(chain, closure.q, lambda row: f"workspace: pose ({describe(u[row], axes)})")
+    back = forward(chain, closure.q[:, chain.actuated])
+    apart = np.abs(tool_coordinates(chain, back.pose) - tool_coordinates(chain, closure.pose)).max(axis=1)
     other = np.flatnonzero(~back.closed | (apart > 1e-6))
     if len(other):
         raise InputError(
@@ -146,14 +146,14 @@ def check_workspace(chain: ClosedChain, workspace: Workspace) -> WorkspaceReport
     return WorkspaceReport(free, worst, where, len(u))
 
 
-def _require_reached(chain: ClosedChain, found: Closure, u: np.ndarray) -> None:
-    if found.closed.all():
+def _require_reached(chain: ClosedChain, closure: Closure, u: np.ndarray) -> None:
+    if closure.closed.all():
         return
-    row = int(np.flatnonzero(~found.closed)[0])
+    row = int(np.flatnonzero(~closure.closed)[0])
     pose = describe(u[row], chain.tool_axes)
-    if found.residual[row] < TOLERANCE:
+    if closure.residual[row] < TOLERANCE:
         raise InputError(f"workspace: pose ({pose}) lies behind a singularity, on another assembly branch; shrink it")
-    raise InputError(f"workspace: pose ({pose}) can't be reached (residual {found.residual[row]:.3g} m or rad)")
+    raise InputError(f"workspace: pose ({pose}) can't be reached (residual {closure.residual[row]:.3g} m or rad)")
 
 
 def _check_condition(chain: ClosedChain, workspace: Workspace, u: np.ndarray, q: np.ndarray) -> tuple[float, str]:
@@ -168,10 +168,10 @@ def _check_condition(chain: ClosedChain, workspace: Workspace, u: np.ndarray, q:
     return float(numbers[row]), pose
 
 
-def check_limits(chain: ClosedChain, q: np.ndarray, what) -> None:
-    """Refuse configurations q: (n, n_joints) beyond the URDF's joint limits; what(row) begins the message."""
+def check_limits(chain: ClosedChain, q: np.ndarray, name_of_row) -> None:
+    """Refuse configurations q: (n, n_joints) beyond the URDF's joint limits; name_of_row(row) begins the message."""
     for row, message in sorted(beyond_limits(chain, q).items()):
-        raise InputError(f"{what(row)}: {message}")
+        raise InputError(f"{name_of_row(row)}: {message}")
 
 
 def beyond_limits(chain: ClosedChain, q: np.ndarray) -> dict[int, str]:

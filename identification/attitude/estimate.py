@@ -104,11 +104,11 @@ def deviations(rotation: np.ndarray, covariance: np.ndarray, net: np.ndarray) ->
 
 
 def innovation_statistics(stretches: Sequence[Stretch]) -> tuple[InnovationStatistics, ...]:
-    found = []
+    statistics_by_kind = []
     for channel in ("force", "heading"):
         updates: list[Update] = [getattr(s, channel) for s in stretches]
-        came = [(u.normalised, u.gated) for u in updates if u.normalised is not None]
-        if came:
-            values, gated = zip(*came, strict=True)
-            found.append(statistics(channel, np.array(values), np.array(gated)))
-    return tuple(found)
+        accepted = [(u.normalised, u.gated) for u in updates if u.normalised is not None]
+        if accepted:
+            values, gated = zip(*accepted, strict=True)
+            statistics_by_kind.append(statistics(channel, np.array(values), np.array(gated)))
+    return tuple(statistics_by_kind)

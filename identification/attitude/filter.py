@@ -17,14 +17,14 @@ _CHUNK = 2000  # blocks integrated at once: memory
 
 
 def filter_attitude(
-    t: np.ndarray, samples: Samples, settings: AttitudeSettings, what: str = "samples"
+    t: np.ndarray, samples: Samples, settings: AttitudeSettings, source: str = "samples"
 ) -> AttitudeEstimate:
     """Attitude at each sample from those before it and its own. t: (n,) [s].
 
     The first `start_s` seconds share one start, the median of their specific forces. Raises InputError that names
-    `what` where the samples can't be filtered.
+    `source` where the samples can't be filtered.
     """
-    check(t, samples, settings, what)
+    check(t, samples, settings, source)
     chunks: list[Blocks] = []
     stretches: list[Stretch] = []
     for blocks, start, step in steps(t, samples, settings):

@@ -22,8 +22,8 @@ def statistics(channel: str, normalised: np.ndarray, gated: np.ndarray) -> Innov
     squared = (good**2).sum(axis=1)
     if len(good) < _FEWEST:
         nan = float("nan")
-        said = f"{channel}: {len(good)} good updates of {n} are too few to judge the filter by; {_FEWEST} would do"
-        return InnovationStatistics(channel, n, int(gated.sum()), nan, (nan, nan), nan, nan, nan, nan, said)
+        message = f"{channel}: {len(good)} good updates of {n} are too few to judge the filter by; {_FEWEST} would do"
+        return InnovationStatistics(channel, n, int(gated.sum()), nan, (nan, nan), nan, nan, nan, nan, message)
     mean = float(squared.mean()) / k
     effective = len(good) / max(1.0, 1 + 2 * float(np.sum(_autocorrelation(squared - squared.mean()).clip(0))))
     together = np.corrcoef(good.T).reshape(k, k)  # long-crested waves push along one line
@@ -32,14 +32,16 @@ def statistics(channel: str, normalised: np.ndarray, gated: np.ndarray) -> Innov
     lags = np.mean([_autocorrelation(column) for column in good.T], axis=0)
     white = float(np.mean(np.abs(lags) <= _NORMAL / np.sqrt(len(good) * k)))
     inside = float(np.mean(squared <= chdtri(k, 0.05)))
-    found = []
+    by_channel = []
     if not 1 - half <= mean <= 1 + half:
-        found.append(f"their mean square is {mean:.2f} (95 % of means lie within {1 - half:.2f} and {1 + half:.2f})")
+        by_channel.append(
+            f"their mean square is {mean:.2f} (95 % of means lie within {1 - half:.2f} and {1 + half:.2f})"
+        )
     if lags[0] > 0.5:
-        found.append(f"they repeat themselves (autocorrelation {lags[0]:.2f})")
+        by_channel.append(f"they repeat themselves (autocorrelation {lags[0]:.2f})")
     if gated.mean() > 0.05:
-        found.append(f"{gated.mean():.0%} were refused as outliers")
-    warning = f"{channel}: the innovations don't fit the filter: {'; '.join(found)}" if found else None
+        by_channel.append(f"{gated.mean():.0%} were refused as outliers")
+    warning = f"{channel}: the innovations don't fit the filter: {'; '.join(by_channel)}" if by_channel else None
     return InnovationStatistics(
         channel, n, int(gated.sum()), mean, (1 - half, 1 + half), effective, inside, float(lags[0]), white, warning
     )

@@ -82,26 +82,26 @@ class AttitudeEstimate:
     innovations: tuple[InnovationStatistics, ...]
 
 
-def check(t: np.ndarray, samples: Samples, settings: AttitudeSettings, what: str) -> None:
-    """Raises InputError where times and samples are not what a filter can start from. `what` names their source."""
+def check(t: np.ndarray, samples: Samples, settings: AttitudeSettings, source: str) -> None:
+    """Raises InputError where times and samples are not what a filter can start from. `source` names their source."""
     n = len(t)
     if (samples.acceleration is None) == (samples.tilt is None):
-        found = "neither" if samples.acceleration is None else "both"
-        raise InputError(f"{what}: found {found} of acceleration and tilt; allowed is one of the two")
+        given = "neither" if samples.acceleration is None else "both"
+        raise InputError(f"{source}: found {given} of acceleration and tilt; allowed is one of the two")
     columns = {"acceleration": 3, "gyro": 3, "tilt": 2, "heading": None}
     for name, width in columns.items():
         values = getattr(samples, name)
         shape = (n,) if width is None else (n, width)
         if values is not None and values.shape != shape:
-            raise InputError(f"{what}: {name} has shape {values.shape}; allowed is {shape}, one row a time")
+            raise InputError(f"{source}: {name} has shape {values.shape}; allowed is {shape}, one row a time")
     if n < 2 or not np.isfinite(t).all() or not (np.diff(t) >= 0).all():
-        raise InputError(f"{what}: {n} times; allowed are at least 2, finite, none before the one above it")
+        raise InputError(f"{source}: {n} times; allowed are at least 2, finite, none before the one above it")
     force = samples.tilt if samples.acceleration is None else samples.acceleration
     assert force is not None
     early = force[t - t[0] <= settings.start_s]
     if not np.isfinite(early).all(axis=1).any():
         raise InputError(
-            f"{what}: no good sample of tilt or acceleration in the first {settings.start_s:g} s; allowed is 1"
+            f"{source}: no good sample of tilt or acceleration in the first {settings.start_s:g} s; allowed is 1"
         )
     if t[-1] - t[0] < settings.start_s:
-        raise InputError(f"{what}: {t[-1] - t[0]:.3g} s of samples; allowed are at least {settings.start_s:g} s")
+        raise InputError(f"{source}: {t[-1] - t[0]:.3g} s of samples; allowed are at least {settings.start_s:g} s")

@@ -19,13 +19,13 @@ from kincal.identification.attitude.settings import AttitudeEstimate, AttitudeSe
 
 
 def smooth_attitude(
-    t: np.ndarray, samples: Samples, settings: AttitudeSettings, what: str = "samples"
+    t: np.ndarray, samples: Samples, settings: AttitudeSettings, source: str = "samples"
 ) -> AttitudeEstimate:
     """As `filter_attitude`, with the samples after each as well; the innovations are the filter's.
 
     Keeps some 20 kB a block (`update_s`) in memory: an hour of record is 300 MB. Raises InputError as the filter does.
     """
-    check(t, samples, settings, what)
+    check(t, samples, settings, source)
     chunks: list[Blocks] = []
     run: list[Step] = []
     starts: list[Nominal] = []

@@ -35,17 +35,17 @@ def all_turns(names: Iterable[str]) -> bool:
 
 def merged(names: Iterable[str]) -> tuple[Channel, ...]:
     """The channels in the order of residuals, with tilt and yaw as the orientation that they are together."""
-    left, found = parts(names), set()
+    left, chosen = parts(names), set()
     for channel in CHANNELS:
         if channel.parts <= left:
-            left, found = left - channel.parts, found | {channel}
-    return tuple(c for c in BY_ROWS if c in found)
+            left, chosen = left - channel.parts, chosen | {channel}
+    return tuple(c for c in BY_ROWS if c in chosen)
 
 
 def scored(names: Iterable[str]) -> dict[str, Channel]:
     """{unit: the channel whose error a prediction is judged by}; a unit that nothing measures is not there."""
-    found: dict[str, Channel] = {}
+    by_unit: dict[str, Channel] = {}
     for channel in merged(names):
         if channel.scored:
-            found.setdefault(channel.unit, channel)
-    return found
+            by_unit.setdefault(channel.unit, channel)
+    return by_unit

@@ -56,8 +56,8 @@ def align(first: pd.DataFrame, second: pd.DataFrame, widest: float = 2.0) -> Ali
     coarse = np.linspace(-widest, widest, 41)
     start = coarse[np.argmin([scatter(lag) for lag in coarse])]
     step = coarse[1] - coarse[0]
-    found: Any = minimize_scalar(scatter, bounds=(start - step, start + step), method="bounded")
-    lag = float(found.x)
+    minimum: Any = minimize_scalar(scatter, bounds=(start - step, start + step), method="bounded")
+    lag = float(minimum.x)
     left = {c: difference(c, lag) for c in channels}
     return Alignment(
         lag, {c: float(v.mean()) for c, v in left.items()}, {c: float(v.std()) for c, v in left.items()}, len(t)

@@ -32,9 +32,9 @@ def _check_database(file: Path) -> None:
     """A view or a computed column can be a query without end."""
     try:
         with closing(sqlite3.connect(f"{file.absolute().as_uri()}?mode=ro&immutable=1", uri=True)) as database:
-            found = database.execute("select name, sql from sqlite_master where sql is not null limit 1000").fetchall()
+            tables = database.execute("select name, sql from sqlite_master where sql is not null limit 1000").fetchall()
     except (sqlite3.Error, ValueError, OverflowError) as error:
         raise InputError(f"{file}: not a database that can be read: {error}") from None
-    for name, sql in found:
+    for name, sql in tables:
         if not _PLAIN.match(str(sql)) or _COMPUTED.search(str(sql)):
             raise InputError(f"{file}: {str(name)!r} is no plain table or index, which are allowed")

@@ -152,9 +152,9 @@ def _imu_chunk(rows: np.ndarray) -> pd.DataFrame:
         roll = np.where(unknown, np.arctan2(ay, az), np.arctan2(2 * (w * x + y * z), 1 - 2 * (x * x + y * y)))
         pitch = np.where(unknown, np.arctan2(-ax, np.hypot(ay, az)), np.arcsin(np.clip(2 * (w * y - z * x), -1, 1)))
         yaw = np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
-    found = {"t": rows[:, 0], "roll": roll, "pitch": pitch, "yaw": yaw}
+    columns = {"t": rows[:, 0], "roll": roll, "pitch": pitch, "yaw": yaw}
     names = (f"{sensor}_{axis}" for sensor in ("gyro", "acc") for axis in "xyz")
-    return pd.DataFrame(found | dict(zip(names, rows[:, 5:11].T, strict=True)))
+    return pd.DataFrame(columns | dict(zip(names, rows[:, 5:11].T, strict=True)))
 
 
 def _vector_chunk(file: Path, measure: Measure) -> Callable[[np.ndarray], pd.DataFrame]:

@@ -38,14 +38,14 @@ class Campaign:
         offset, health = self.offset, self.health
         if offset is None:
             return f"{health.file} ({health.format}): {health.samples} good samples, for {self.commanded} poses."
-        found = f"found from {offset.paired} motions, scatter {offset.scatter:.2f} s" if offset.paired else "as stated"
+        method = f"found from {offset.paired} motions, scatter {offset.scatter:.2f} s" if offset.paired else "as stated"
         return (
             f"{health.file} ({health.format}): {health.samples} good samples; its clock is {offset.seconds:.2f} s "
-            f"ahead of the commands' ({found}); {self.kept} of {self.commanded} commanded poses were used."
+            f"ahead of the commands' ({method}); {self.kept} of {self.commanded} commanded poses were used."
         )
 
     @property
     def warnings(self) -> tuple[str, ...]:
         """One line each."""
-        said = [f"{self.health.file}: {line}" for line in self.health.lines()]
-        return (*said, *map(str, self.dropped))
+        lines = [f"{self.health.file}: {line}" for line in self.health.lines()]
+        return (*lines, *map(str, self.dropped))

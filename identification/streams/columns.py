@@ -19,8 +19,8 @@ OPTIONAL = ("yaw", *(f"{sensor}_{axis}" for sensor in ("gyro", "acc") for axis i
 ANGLES = ("roll", "pitch", "yaw")
 
 
-def mapped(found: Sequence[str], measure: Measure, file: Path, by_pose: bool) -> dict[str, Column]:
-    """{kincal's name: the file's column and unit} of a stream file with columns `found`.
+def mapped(names: Sequence[str], measure: Measure, file: Path, by_pose: bool) -> dict[str, Column]:
+    """{kincal's name: the file's column and unit} of a stream file with columns `names`.
 
     by_pose: a `pose` column must say which pose each sample is of. Raises InputError for a missing column.
     """
@@ -28,26 +28,26 @@ def mapped(found: Sequence[str], measure: Measure, file: Path, by_pose: bool) ->
     columns = {}
     for name in ("t", "pose", "roll", "pitch", *OPTIONAL) if by_pose else (*REQUIRED, *OPTIONAL):
         column = measure.columns.get(name, Column.model_validate({"from": name}))
-        if column.source not in found and name in found:  # a canonical stream needs no map
+        if column.source not in names and name in names:  # a canonical stream needs no map
             column = Column.model_validate({"from": name})
-        if column.source in found:
+        if column.source in names:
             columns[name] = column
         elif name in needed:
             hint = "; a command log (measure.commands) does without" if name == "pose" else ""
-            has = listed(found)
+            has = listed(names)
             raise InputError(f"{file}: column {column.source!r} is missing from the stream; it has {has}{hint}")
     return columns
 
 
 def values(raw: pd.DataFrame, columns: dict[str, Column]) -> pd.DataFrame:
     """A stream's rows: NaN for what is no number; t may be ISO 8601."""
-    found = {}
+    numbers_by_name = {}
     for name, column in columns.items():
         written = pd.Series(raw[column.source])
         read = floats(written)
         with np.errstate(over="ignore", invalid="ignore"):  # of numbers that are too large, or none
-            found[name] = (times(written, read) if name == "t" else read) * UNITS[column.unit]
-    return pd.DataFrame(found)
+            numbers_by_name[name] = (times(written, read) if name == "t" else read) * UNITS[column.unit]
+    return pd.DataFrame(numbers_by_name)
 
 
 def times(written: pd.Series, values: np.ndarray) -> np.ndarray:

@@ -41,7 +41,7 @@ def read_commands(file: Path, joints: Sequence[str], measure: Measure) -> Holds:
     Raises InputError that names the column, the row and the value.
     """
     raw = load(file, measure)
-    found = {}
+    columns = {}
     for name in ("t", *joints, "pose"):
         column = measure.columns.get(name, Column.model_validate({"from": name}))
         if column.source not in raw.columns and name in raw.columns:
@@ -51,11 +51,11 @@ def read_commands(file: Path, joints: Sequence[str], measure: Measure) -> Holds:
             if name == "t" and not pd.api.types.is_numeric_dtype(values):
                 seconds = times(values, floats(values))
                 values = values.where(~np.isfinite(seconds), pd.Series(seconds, dtype=object, index=values.index))
-            found[name] = numbers(values.tolist(), column, file)
+            columns[name] = numbers(values.tolist(), column, file)
         elif name != "pose":
             has = listed(raw.columns)
             raise InputError(f"{file}: column {column.source!r} ({name}) is missing from the command log; it has {has}")
-    t = found.pop("t")
+    t = columns.pop("t")
     if len(t) < 2:
         raise InputError(f"{file}: {len(t)} rows; a command log needs at least two")
     backwards = np.flatnonzero(np.diff(t) <= 0)
@@ -64,11 +64,11 @@ def read_commands(file: Path, joints: Sequence[str], measure: Measure) -> Holds:
         raise InputError(
             f"{file}: column 't', row {k + 2}: time must increase; found {t[k + 1]:.6f} after {t[k]:.6f} s"
         )
-    pose = found.pop("pose", None)
+    pose = columns.pop("pose", None)
     if pose is not None and (pose != np.round(pose)).any():
         row = int(np.argmax(pose != np.round(pose)))
         raise InputError(f"{file}: column 'pose', row {row + 1}: found {pose[row]:g}; allowed are whole numbers")
-    return _holds(t, np.column_stack(list(found.values())), pose)
+    return _holds(t, np.column_stack(list(columns.values())), pose)
 
 
 def _holds(t: np.ndarray, joints: np.ndarray, pose: np.ndarray | None) -> Holds:

@@ -55,17 +55,17 @@ class StreamHealth:
 
     def lines(self) -> tuple[str, ...]:
         """One line each of what is wrong; empty for a clean stream."""
-        said = [f"{n} of {self.read} records {text}" for name, text in _FAULTS.items() if (n := getattr(self, name))]
+        lines = [f"{n} of {self.read} records {text}" for name, text in _FAULTS.items() if (n := getattr(self, name))]
         for text, counts in (("stuck", self.stuck), ("saturated", self.saturated)):
-            said += [f"channel {channel!r} is {text} for {n} samples" for channel, n in counts.items()]
-        said += [f"channel {channel!r} never changes" for channel in self.constant]
-        said += [f"channel {channel!r} is left out: too many samples lack it" for channel in self.sparse]
+            lines += [f"channel {channel!r} is {text} for {n} samples" for channel, n in counts.items()]
+        lines += [f"channel {channel!r} never changes" for channel in self.constant]
+        lines += [f"channel {channel!r} is left out: too many samples lack it" for channel in self.sparse]
         if self.gaps:
-            said.append(f"{self.gaps} gaps, the longest {self.longest_gap:.3g} s")
+            lines.append(f"{self.gaps} gaps, the longest {self.longest_gap:.3g} s")
         if self.clock_steps:
             shifted = f"; later times were shifted by {self.shift:.6g} s" if self.shift else ""
-            said.append(f"the clock was set back {self.clock_steps} times{shifted}")
-        return tuple(said)
+            lines.append(f"the clock was set back {self.clock_steps} times{shifted}")
+        return tuple(lines)
 
     def require(self, file: Path) -> StreamHealth:
         """Itself, unless the file is mostly garbage (more than half of its records) or has no sample: InputError."""

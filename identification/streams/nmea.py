@@ -52,18 +52,18 @@ def logged(file: Path, log: Log, tally: Tally) -> Iterator[pd.DataFrame]:
         with open(file, "rb") as stream:
             reader = _Reader(clock, tally, log.topic.upper() if log.topic else None)
             rows: list[tuple[float, ...]] = []
-            found = 0
+            count = 0
             for line in _lines(stream):
                 rows += reader.take(line)
                 if len(rows) >= _ROWS:
                     yield _chunk(rows)
-                    found, rows = found + len(rows), []
+                    count, rows = count + len(rows), []
             rows += clock.rest()
-            found += len(rows)
+            count += len(rows)
             yield _chunk(rows)
     except OSError as error:
         raise unreadable(file, error) from None
-    if clock.untimed > found:
+    if clock.untimed > count:
         raise InputError(
             f"{file}: neither time stamps before the sentences nor times in them (ZDA, PASHR); "
             "set measure.log.rate_hz to the sensor's rate"
@@ -112,14 +112,14 @@ class _Reader:
             tally.other += 1
             self.heading = _number(message, "headingT")
             return []
-        found = self._attitude(kind, message)
-        if found is None or (self.chosen or kind) != kind:
+        attitude = self._attitude(kind, message)
+        if attitude is None or (self.chosen or kind) != kind:
             tally.other += 1
             return []
         self.chosen = kind
-        heading = self.heading if np.isnan(found.heading) else found.heading
+        heading = self.heading if np.isnan(attitude.heading) else attitude.heading
         self.heading = np.nan
-        return self.clock.sample(stamp, found.utc, (found.roll, found.pitch, heading, found.heave_down))
+        return self.clock.sample(stamp, attitude.utc, (attitude.roll, attitude.pitch, heading, attitude.heave_down))
 
     def _attitude(self, kind: str, message: Any) -> Attitude | None:
         if kind == "PSXN":
@@ -159,7 +159,7 @@ def _chunk(rows: list[tuple[float, ...]]) -> pd.DataFrame:
 
 
 def _clock(head: list[bytes], log: Log) -> Clock:
-    sentences = [found[0] for line in head if (found := _sentence(line)) is not None]
+    sentences = [sentence[0] for line in head if (sentence := _sentence(line)) is not None]
     if sentences and 2 * sum(np.isfinite(stamped(stamp)) for stamp in sentences) > len(sentences):
         return FromStamps()
     return FromSentences() if log.rate_hz is None else Nominal(log.rate_hz)

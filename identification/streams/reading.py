@@ -73,10 +73,10 @@ class Stream:
         if not len(whole):
             return
         unfrozen = self._unfrozen(in_order(whole, self._tally))
-        found = complete(unfrozen)
-        self._tally.incomplete = len(unfrozen) - len(found)
-        self._tally.sparse = tuple(str(name) for name in unfrozen if name not in found)
-        yield found
+        samples = complete(unfrozen)
+        self._tally.incomplete = len(unfrozen) - len(samples)
+        self._tally.sparse = tuple(str(name) for name in unfrozen if name not in samples)
+        yield samples
 
     def _finite(self, chunk: pd.DataFrame) -> pd.DataFrame:
         far = np.abs(chunk.to_numpy(float)) >= _FARTHEST

@@ -60,7 +60,7 @@ def static_poses(measure: Measure, joints: Sequence[str]) -> StaticPoses:
 def _within(chunks: Iterable[pd.DataFrame], windows: list[Window]) -> pd.DataFrame:
     """The samples inside the windows, with their pose."""
     begin, end, pose = (np.array([getattr(w, name) for w in windows]) for name in ("begin", "end", "pose"))
-    found = []
+    assigned = []
     for chunk in chunks:
         t = chunk["t"].to_numpy(float)
         k = np.searchsorted(begin, t, side="right") - 1
@@ -68,8 +68,8 @@ def _within(chunks: Iterable[pd.DataFrame], windows: list[Window]) -> pd.DataFra
         if inside.any():
             part = chunk[inside].copy()
             part.insert(1, "pose", pose[k[inside]])
-            found.append(part)
-    return complete(pd.concat(found)) if found else pd.DataFrame({"t": [], "pose": []})
+            assigned.append(part)
+    return complete(pd.concat(assigned)) if assigned else pd.DataFrame({"t": [], "pose": []})
 
 
 def _telling(samples: pd.DataFrame, measure: Measure) -> pd.DataFrame:
@@ -86,12 +86,12 @@ def _telling(samples: pd.DataFrame, measure: Measure) -> pd.DataFrame:
 def _unusable(samples: pd.DataFrame, poses: list[int]) -> list[DroppedPose]:
     """Poses with too few samples, and those in which a channel is stuck."""
     pose, count = np.unique(samples["pose"], return_counts=True)
-    found = dict(zip(pose.tolist(), count.tolist(), strict=True))
+    counts = dict(zip(pose.tolist(), count.tolist(), strict=True))
     dropped = {
-        p: f"{found.get(p, 0)} good samples; allowed are at least {_LEAST}" for p in poses if found.get(p, 0) < _LEAST
+        p: f"{counts.get(p, 0)} good samples; allowed are at least {_LEAST}" for p in poses if counts.get(p, 0) < _LEAST
     }
     values = samples.groupby("pose")[[c for c in ANGLES if c in samples]].nunique()
     for channel in values:
         for p in pose[(np.asarray(values[channel]) == 1) & (count >= STUCK)].tolist():
-            dropped[p] = f"channel {channel!r} is stuck for all {found[p]} samples"
+            dropped[p] = f"channel {channel!r} is stuck for all {counts[p]} samples"
     return [DroppedPose(p, reason) for p, reason in dropped.items()]

@@ -66,7 +66,7 @@ def _csv(file: Path, measure: Measure, names: list[str], wanted: list[str], tall
             good = [line for line in block if _whole(line, separator, len(names))]
             tally.read, tally.garbage = tally.read + len(block), tally.garbage + len(block) - len(good)
             if good:
-                found = pd.read_csv(
+                chunk = pd.read_csv(
                     BytesIO(b"\n".join(good)),
                     header=None,
                     names=names,
@@ -77,13 +77,13 @@ def _csv(file: Path, measure: Measure, names: list[str], wanted: list[str], tall
                     encoding_errors="replace",
                     low_memory=False,
                 )
-                yield _with_points(found) if measure.decimal == "," else found
+                yield _with_points(chunk) if measure.decimal == "," else chunk
 
 
-def _with_points(found: pd.DataFrame) -> pd.DataFrame:
+def _with_points(table: pd.DataFrame) -> pd.DataFrame:
     """Columns that one cell made text, with decimal points: only pandas' parser of whole columns knows commas."""
-    text = [str(name) for name in found if not pd.api.types.is_numeric_dtype(found[name])]
-    return found.assign(**{name: found[name].str.replace(",", ".", regex=False) for name in text})
+    text = [str(name) for name in table if not pd.api.types.is_numeric_dtype(table[name])]
+    return table.assign(**{name: table[name].str.replace(",", ".", regex=False) for name in text})
 
 
 def _lines(stream: BinaryIO) -> Iterator[bytes]:
@@ -98,7 +98,7 @@ def _whole(line: bytes, separator: bytes, fields: int) -> bool:
     if b'"' in line:
         if line.count(b'"') % 2:
             return False
-        found = next(csv.reader([line.decode(errors="replace").replace("\0", "")], delimiter=separator.decode()))
-        return len(found) == fields and b"\0" not in line and b"\r" not in line
+        cells = next(csv.reader([line.decode(errors="replace").replace("\0", "")], delimiter=separator.decode()))
+        return len(cells) == fields and b"\0" not in line and b"\r" not in line
     count = len(line.split()) if separator == b" " else line.count(separator) + 1
     return count == fields and b"\0" not in line and b"\r" not in line

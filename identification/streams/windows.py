@@ -43,11 +43,11 @@ def still_windows(bins: Bins, holds: Holds, offset: float, log: Log) -> tuple[li
     for row, (pose, run, b, e) in enumerate(zip(holds.pose.tolist(), runs, begin, end, strict=True)):
         if pose in repeated:
             continue
-        found = _window(bins, run, b, e, usual, log)
-        if isinstance(found, str):
-            dropped.append(DroppedPose(pose, found))
+        window = _window(bins, run, b, e, usual, log)
+        if isinstance(window, str):
+            dropped.append(DroppedPose(pose, window))
         else:
-            windows.append(Window(row, pose, *found))
+            windows.append(Window(row, pose, *window))
     return windows, dropped
 
 

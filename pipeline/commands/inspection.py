@@ -17,29 +17,44 @@ if TYPE_CHECKING:
 
 def show_foresight(foresight: Foresight) -> None:
     """What an identification will be, before anybody has measured."""
-    name, found = foresight.robot.description.name, foresight.foreseen.identification
-    out.print(Text(f"{name}: what {found.n_poses} planned poses will tell ({', '.join(found.channels)})", "bold"))
-    show_table(foreseen_table(found))
-    _show([*summary_lines(found), *foresight.foreseen.lines(), *_directions(found.unobservable)])
-    _show(f"finding: {finding}" for finding in found.findings)
+    name, identification = foresight.robot.description.name, foresight.foreseen.identification
+    out.print(
+        Text(
+            f"{name}: what {identification.n_poses} planned poses will tell ({', '.join(identification.channels)})",
+            "bold",
+        )
+    )
+    show_table(foreseen_table(identification))
+    _show([*summary_lines(identification), *foresight.foreseen.lines(), *_directions(identification.unobservable)])
+    _show(f"finding: {finding}" for finding in identification.findings)
 
 
 def show_inspection(fit: Fit) -> None:
     """An identification."""
-    name, found = fit.robot.description.name, fit.identification
-    poses = f"{found.n_poses} poses ({', '.join(found.channels)})"
-    out.print(Text(f"{name}: parameters identified from {poses} by {found.estimator}, {found.loss} loss", "bold"))
-    show_table(parameter_table(found))
-    estimated = f" ({', '.join(found.sensor_estimated)} estimated from residuals)" if found.sensor_estimated else ""
+    name, identification = fit.robot.description.name, fit.identification
+    poses = f"{identification.n_poses} poses ({', '.join(identification.channels)})"
+    out.print(
+        Text(
+            f"{name}: parameters identified from {poses} by {identification.estimator}, {identification.loss} loss",
+            "bold",
+        )
+    )
+    show_table(parameter_table(identification))
+    estimated = (
+        f" ({', '.join(identification.sensor_estimated)} estimated from residuals)"
+        if identification.sensor_estimated
+        else ""
+    )
     lines = [
-        *summary_lines(found),
-        f"sensors, one sigma: {sensor_sigmas(found)}{estimated}",
-        f"chi-square {found.chi_square:.4g} over {found.degrees_of_freedom:.1f} degrees of freedom; "
-        f"{found.message} after {found.iterations} iterations, shrinkage {found.shrinkage:.3g}",
+        *summary_lines(identification),
+        f"sensors, one sigma: {sensor_sigmas(identification)}{estimated}",
+        f"chi-square {identification.chi_square:.4g} over {identification.degrees_of_freedom:.1f} degrees of freedom; "
+        f"{identification.message} after {identification.iterations} iterations, "
+        f"shrinkage {identification.shrinkage:.3g}",
     ]
     _show([*lines, *_directions(fit.unobservable)])
     _show(f"finding: {finding}" for finding in fit.findings)
-    _show(f"outlier: pose {outlier.pose}: {outlier.reason}" for outlier in found.outliers)
+    _show(f"outlier: pose {outlier.pose}: {outlier.reason}" for outlier in identification.outliers)
 
 
 def _directions(unobservable: tuple[str, ...]) -> list[str]:

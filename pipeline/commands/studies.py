@@ -55,9 +55,9 @@ def sweep(
         for title, medians in result.shown():
             out.print(Text(f"{loaded.description.name}: {title}", style="bold"))
             show_table(medians)
-        for what, file in zip(("table", "figure"), result.files or (), strict=False):
+        for kind, file in zip(("table", "figure"), result.files or (), strict=False):
             if file is not None:
-                out.print(Text(f"{what}: {short(file)}"), soft_wrap=True)
+                out.print(Text(f"{kind}: {short(file)}"), soft_wrap=True)
     result.check()
 
 

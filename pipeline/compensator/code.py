@@ -25,14 +25,14 @@ def code_name(robot: str) -> str:
     return "kincal_" + re.sub(r"[^A-Za-z0-9]", "_", robot)
 
 
-def sources(compensator: Compensator, name: str, said: Sequence[str]) -> dict[str, str]:
-    """{file name: text} of the code, its header and a test program; said: where it comes from, in lines."""
+def sources(compensator: Compensator, name: str, remarks: Sequence[str]) -> dict[str, str]:
+    """{file name: text} of the code, its header and a test program; remarks: where it comes from, in lines."""
     robot, method = compensator.robot, compensator.method
     chain, steps = robot.chain, compensator.steps
     values = {
         "name": name,
         "NAME": name.upper(),
-        "said": [line for text in said for line in _comment(text)],
+        "said": [line for text in remarks for line in _comment(text)],
         "poses": [line for text in _what_counts(compensator) for line in _comment(text)],
         "hybrid": steps.hybrid is not None,
         "generated": _generated(steps.all(), name),

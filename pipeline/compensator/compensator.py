@@ -93,15 +93,15 @@ class Compensator:
             apart = (refined - at_home.q)[0, chain.passive]
             branches.append(_call(made.refined, refined)[1])
         signs = tuple(float(np.sign(b[0, 0])) for b in branches)
-        found = Compensator(
+        compensator = Compensator(
             method, robot, goal.asked, made, at_home.q[0], apart, signs, bounds(workspace), Most(0, 0, 0)
         )
-        return replace(found, most=found._needed(workspace))
+        return replace(compensator, most=compensator._needed(workspace))
 
     def compiled(self) -> Compensator:
         """The same with its steps as machine code, for many thousand poses; as it is where there is no compiler."""
-        found: dict[str, Any] = {name: f and compiled(f) for name, f in vars(self.steps).items()}
-        return replace(self, steps=replace(self.steps, **found))
+        functions: dict[str, Any] = {name: f and compiled(f) for name, f in vars(self.steps).items()}
+        return replace(self, steps=replace(self.steps, **functions))
 
     def commands(self, desired: Motion) -> Commanded:
         """For desired poses (n), each searched from home: what `Method.command` finds, as the generated C does."""
@@ -117,12 +117,12 @@ class Compensator:
             size, (delta, share) = np.zeros(len(rows)), _call(self.steps.network, _readings(self.robot, q[rows]))
             on = share[:, 0] > 0
             size[~on] = model_alone(rows[~on])
-            there = rows[on]
+            good_rows = rows[on]
             step, branch, ahead, also = _call(
-                self.steps.hybrid, q[there], apart[there], delta[on], share[on], *(g[there] for g in given)
+                self.steps.hybrid, q[good_rows], apart[good_rows], delta[on], share[on], *(g[good_rows] for g in given)
             )
-            on_branch[there] = (branch[:, 0] * self.signs[0] > 0) & (also[:, 0] * self.signs[2] > 0)
-            size[on] = np.maximum(_take(q, there, step), _take(apart, there, ahead))
+            on_branch[good_rows] = (branch[:, 0] * self.signs[0] > 0) & (also[:, 0] * self.signs[2] > 0)
+            size[on] = np.maximum(_take(q, good_rows, step), _take(apart, good_rows, ahead))
             return size
 
         first, reached = _iterate(model_alone, n, rough=self.steps.hybrid is not None)
@@ -142,17 +142,17 @@ class Compensator:
                 grid(workspace, chain.tool_axes, [2] * len(chain.tool_axes)),
             ]
         )
-        there = inverse(chain, u)
-        readings = _readings(self.robot, there.q[there.closed])
-        found = self.commands(self.method.predict(readings))
+        closure = inverse(chain, u)
+        readings = _readings(self.robot, closure.q[closure.closed])
+        commands = self.commands(self.method.predict(readings))
         closing, closed = self._closing(readings)
-        lost = int(np.sum(~(found.reached & closed)))
+        lost = int(np.sum(~(commands.reached & closed)))
         if lost:
             raise CalibrationError(
                 f"--format c: Newton's method does not get from home to {lost} of {len(readings)} poses of the "
                 "workspace; nothing was exported"
             )
-        first, second = found.iterations.max(axis=0)
+        first, second = commands.iterations.max(axis=0)
         corrects = self.steps.hybrid is not None
         return Most(int(first) + _SPARE, corrects * (int(second) + _SPARE), int(closing.max()) + _SPARE)
 

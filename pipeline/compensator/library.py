@@ -59,8 +59,8 @@ class Library:
             build(compiler, [folder / f"{name}_main.c", built], folder / name, f"-Wl,-rpath,{folder}", "-std=c99")
             return Library(ctypes.CDLL(str(built)), name, counts)
         except (OSError, subprocess.SubprocessError) as error:
-            said = getattr(error, "stderr", b"") or str(error).encode()
-            first = said.decode(errors="replace").strip().splitlines()[:1]
+            message = getattr(error, "stderr", b"") or str(error).encode()
+            first = message.decode(errors="replace").strip().splitlines()[:1]
             raise CalibrationError(
                 f"--format c: {compiler} refuses the code ({''.join(first)}); nothing was exported"
             ) from None
@@ -72,10 +72,10 @@ class Library:
         start, command = self._function("start"), self._function("command")
         start(_at(state))
 
-        def call(row: int, found: np.ndarray, status: _Status) -> int:
+        def call(row: int, answer: np.ndarray, status: _Status) -> int:
             if not warm:
                 start(_at(state))
-            return command(_at(position[row]), _at(quaternion[row]), _at(state), _at(found), ctypes.byref(status))
+            return command(_at(position[row]), _at(quaternion[row]), _at(state), _at(answer), ctypes.byref(status))
 
         position, quaternion = np.ascontiguousarray(desired.translation), quaternions(desired.rotation)
         return _each(call, len(position), actuators)
@@ -84,22 +84,22 @@ class Library:
         """Positions and quaternions (n, 7) at readings (n, n_actuated)."""
         predict, readings = self._function("predict"), np.ascontiguousarray(readings)
 
-        def call(row: int, found: np.ndarray, status: _Status) -> int:
-            return predict(_at(readings[row]), _at(found), _at(found[3:]), ctypes.byref(status))
+        def call(row: int, answer: np.ndarray, status: _Status) -> int:
+            return predict(_at(readings[row]), _at(answer), _at(answer[3:]), ctypes.byref(status))
 
         return _each(call, len(readings), 7)
 
-    def _function(self, what: str) -> Any:
-        return getattr(self.handle, f"{self.name}_{what}")
+    def _function(self, name: str) -> Any:
+        return getattr(self.handle, f"{self.name}_{name}")
 
 
 def _each(call: Callable[[int, np.ndarray, _Status], int], n: int, width: int) -> Answers:
     values, flags, status = np.full((n, width), np.nan), np.zeros(n, dtype=int), _Status()
-    said = np.zeros((n, 3))
+    answers = np.zeros((n, 3))
     for row in range(n):
         flags[row] = call(row, values[row], status)
-        said[row] = status.iterations, status.error, status.share
-    return Answers(values, flags, said[:, 0].astype(int), said[:, 1], said[:, 2])
+        answers[row] = status.iterations, status.error, status.share
+    return Answers(values, flags, answers[:, 0].astype(int), answers[:, 1], answers[:, 2])
 
 
 def _at(array: np.ndarray) -> Any:

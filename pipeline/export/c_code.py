@@ -81,12 +81,12 @@ def export(
     output, name = output or Path(f"{description.name}_compensator"), code_name(description.name)
     marker = output / f"{name}.h"
     check_folder_free(output, session.robot.file, force, marker)
-    found = calibrated(session.robot.description, session.until, method)
-    chosen = found.methods[method]
+    robot = calibrated(session.robot.description, session.until, method)
+    chosen = robot.methods[method]
     assert isinstance(chosen, ModelMethod | HybridMethod)
-    compensator = Compensator.of(chosen, found.channels, description.workspace)
-    files = sources(compensator, name, _said(session, found, chosen, method))
-    agreed, compiler = _checked(compensator, found.channels, description.workspace, files, name)
+    compensator = Compensator.of(chosen, robot.channels, description.workspace)
+    files = sources(compensator, name, _said(session, robot, chosen, method))
+    agreed, compiler = _checked(compensator, robot.channels, description.workspace, files, name)
     with beside(output) as temporary:
         for file, text in files.items():
             (temporary / file).write_text(text, encoding="utf-8")
@@ -100,10 +100,10 @@ def export(
     return ExportedCode(output, name, agreed, compiler, most)
 
 
-def _said(session: Run, found: CalibratedRobot, method: ModelMethod | HybridMethod, name: str) -> list[str]:
+def _said(session: Run, robot: CalibratedRobot, method: ModelMethod | HybridMethod, name: str) -> list[str]:
     """Where the code comes from."""
-    fit = found.identification
-    said = [
+    fit = robot.identification
+    remarks = [
         f"{MADE_HERE}{session.robot.description.name}, compensator of the {name} method, identified from {fit.n_poses} "
         f"poses ({session.until('measure')[0].source}: {', '.join(fit.channels)}), kincal {version('kincal')}, casadi "
         f"{version('casadi')}",
@@ -112,8 +112,8 @@ def _said(session: Run, found: CalibratedRobot, method: ModelMethod | HybridMeth
     if isinstance(method, HybridMethod):
         correction = method.correction
         used = f"{correction.structure}; {correction.shrinkage:.3g} of it" if correction.shrinkage else "not used"
-        said.append(f"correction ({used}): sha256 {session.entries['correct'].digest}")
-    return said
+        remarks.append(f"correction ({used}): sha256 {session.entries['correct'].digest}")
+    return remarks
 
 
 def _checked(
@@ -143,15 +143,15 @@ def agreement(compensator: Compensator, channels: tuple[str, ...], u: np.ndarray
     prediction = None
     if library is None:
         commanded = compensator.commands(desired)
-        got, found = commanded.readings, commanded.reached
+        got, by_code = commanded.readings, commanded.reached
     else:
         answers, poses = library.commands(desired), library.predictions(readings)
-        got, found = answers.values, answers.found & poses.found
+        got, by_code = answers.values, answers.found & poses.found
         prediction = _apart(desired, poses.values)
-    if not found[reached].all() or not reached.any():
+    if not by_code[reached].all() or not reached.any():
         raise CalibrationError(
-            f"--format c: the code does not get to {np.sum(reached & ~found)} of {np.sum(reached)} poses that kincal "
-            "compensate gets to; nothing was exported"
+            f"--format c: the code does not get to {np.sum(reached & ~by_code)} of {np.sum(reached)} poses that "
+            "kincal compensate gets to; nothing was exported"
         )
     command = float(np.abs(robot.actuators.gain * (got - expected))[reached].max())
     if not max(command, prediction or 0.0) <= TOLERANCE:
@@ -165,6 +165,6 @@ def agreement(compensator: Compensator, channels: tuple[str, ...], u: np.ndarray
 def _apart(pose: Motion, values: np.ndarray) -> float:
     """The largest difference of positions and quaternions (n, 7) from poses (n) [m, rad]."""
     here = quaternions(pose.rotation)
-    there = values[:, 3:] * np.sign(np.sum(here * values[:, 3:], axis=1))[:, None]
+    quaternion = values[:, 3:] * np.sign(np.sum(here * values[:, 3:], axis=1))[:, None]
     moved = np.linalg.norm(values[:, :3] - pose.translation, axis=1).max()
-    return float(max(moved, 2 * np.linalg.norm(there - here, axis=1).max()))
+    return float(max(moved, 2 * np.linalg.norm(quaternion - here, axis=1).max()))

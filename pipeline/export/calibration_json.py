@@ -27,7 +27,11 @@ _JOINTS = {
 
 
 def calibration_document(
-    description: RobotDescription, robot: BuiltRobot, found: Identification, source: str, versions: Mapping[str, str]
+    description: RobotDescription,
+    robot: BuiltRobot,
+    identification: Identification,
+    source: str,
+    versions: Mapping[str, str],
 ) -> dict[str, Any]:
     """source: what was measured, `virtual` or a file's name. The robot's home must close its loops."""
     chain, actuators = robot.chain, robot.actuators
@@ -36,10 +40,10 @@ def calibration_document(
         "robot": description.name,
         "source": source,
         "versions": dict(versions),
-        "n_poses": found.n_poses,
-        "channels": list(found.channels),
-        "chi_square": found.chi_square,
-        "degrees_of_freedom": found.degrees_of_freedom,
+        "n_poses": identification.n_poses,
+        "channels": list(identification.channels),
+        "chi_square": identification.chi_square,
+        "degrees_of_freedom": identification.degrees_of_freedom,
         "joints": [_joint(chain, j) for j in range(chain.n_joints)],
         "loops": [_loop(chain, loop) for loop in chain.loops],
         "actuators": [
@@ -59,15 +63,15 @@ def calibration_document(
             "joints": dict(zip(chain.joint_names, chain.home.tolist(), strict=True)),
             "tool": _placement(chain.home_pose),
         },
-        "parameters": parameters(description.name, found),
+        "parameters": parameters(description.name, identification),
     }
 
 
-def parameters(robot: str, found: Identification) -> list[dict[str, Any]]:
+def parameters(robot: str, identification: Identification) -> list[dict[str, Any]]:
     """One row a parameter, as `inspect --json` has them; null where neither data nor prior see it."""
     words = {"name": "name", "unit": "unit", "nominal": "initial", "identified": "final", "change": "change"}
     words |= {"std": "sigma", "low": "low", "high": "high", "identifiable": "identifiable"}
-    return [{word: row[k] for k, word in words.items()} for row in parameters_json(robot, found)["parameters"]]
+    return [{word: row[k] for k, word in words.items()} for row in parameters_json(robot, identification)["parameters"]]
 
 
 def read_calibration(document: Mapping[str, Any]) -> BuiltRobot:

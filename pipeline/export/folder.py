@@ -57,13 +57,14 @@ def export(session: Run, output: Path | None = None, force: bool = False, method
 
 def write_folder(calibrated: IdentifiedRobot, folder: Path, final: Path) -> Exported:
     """The three files in `folder`, checked; `final` is where the folder will stand, for relative paths."""
-    description, found = calibrated.description, calibrated.found
-    said = (
-        f"{MADE_HERE}{description.name}, identified from {found.n_poses} poses ({calibrated.measured}: "
-        f"{', '.join(found.channels)}), chi-square {found.chi_square:.5g} over {found.degrees_of_freedom:.1f} degrees "
-        f"of freedom, kincal {version('kincal')}{calibrated.made_of and ', '}{calibrated.made_of}"
+    description, identification = calibrated.description, calibrated.found
+    chi_square = f"{identification.chi_square:.5g} over {identification.degrees_of_freedom:.1f} degrees of freedom"
+    origin = (
+        f"{MADE_HERE}{description.name}, identified from {identification.n_poses} poses ({calibrated.measured}: "
+        f"{', '.join(identification.channels)}), chi-square {chi_square}, "
+        f"kincal {version('kincal')}{calibrated.made_of and ', '}{calibrated.made_of}"
     )
-    urdf = calibrated_urdf(calibrated.model.urdf, calibrated.robot, calibrated.model.mechanism, [said])
+    urdf = calibrated_urdf(calibrated.model.urdf, calibrated.robot, calibrated.model.mechanism, [origin])
     (folder / "robot.urdf").write_bytes(urdf.text.encode())
     (folder / "parameters.csv").write_bytes(parameters_csv(calibrated).encode())
     shown = f"pose of link {urdf.target!r} in link {urdf.instrument!r} = W * tool pose * T: what kincal predicts"
@@ -71,7 +72,7 @@ def write_folder(calibrated: IdentifiedRobot, folder: Path, final: Path) -> Expo
     for workspace, change in _workspaces(calibrated):
         trial = exported.model_copy(update={"workspace": workspace}) if change else exported
         note = f"{change}, because of {refusal}" if change else ""
-        text = exported_toml(trial, calibrated.source.file, final, [said, shown, *([note] if note else [])])
+        text = exported_toml(trial, calibrated.source.file, final, [origin, shown, *([note] if note else [])])
         (folder / "robot.toml").write_bytes(text.encode())
         reloaded = load_robot(str(folder / "robot.toml")).description
         try:
@@ -119,8 +120,11 @@ def _workspaces(calibrated: IdentifiedRobot) -> Iterator[tuple[Workspace, str]]:
         "home_rotation_deg": tuple(np.rad2deg(xyz_angles(home.rotation)).tolist()),
     }
     for share in _SHARES:
-        what = "workspace: about the pose to which the home commands of the drawing lead"
-        yield _shrunk(stands, share).model_copy(update=moved), what if share == 1 else f"{what}, and {share:.0%} of it"
+        change = "workspace: about the pose to which the home commands of the drawing lead"
+        yield (
+            _shrunk(stands, share).model_copy(update=moved),
+            change if share == 1 else f"{change}, and {share:.0%} of it",
+        )
 
 
 def _shrunk(workspace: Workspace, share: float) -> Workspace:

@@ -87,7 +87,7 @@ def identified_robot(session: Run) -> IdentifiedRobot:
 def calibrated_robot(
     source: Robot,
     model: Model,
-    found: Identification,
+    identification: Identification,
     measured: str,
     errors: ErrorModel,
     robot: BuiltRobot,
@@ -108,7 +108,7 @@ def calibrated_robot(
         raise CalibrationError(f"the identified robot can't close its loops at {where}; nothing was exported")
     closed = replace(robot, chain=replace(robot.chain, home=home.q[0], home_pose=home.pose[0]))
     predicted = robot.measured(closure.pose)
-    return IdentifiedRobot(source, model, found, measured, closed, readings, closure.pose, predicted)
+    return IdentifiedRobot(source, model, identification, measured, closed, readings, closure.pose, predicted)
 
 
 def agreement(calibrated: IdentifiedRobot, closed: np.ndarray, tool: Motion, predicted: Motion) -> tuple[float, float]:

@@ -14,7 +14,7 @@ from tomlkit.exceptions import TOMLKitError
 from kincal.urdf.description import PATHS, RobotDescription
 
 
-def exported_toml(description: RobotDescription, source: Path, folder: Path, said: Sequence[str]) -> str:
+def exported_toml(description: RobotDescription, source: Path, folder: Path, remarks: Sequence[str]) -> str:
     """`description` as a file in `folder`, in the words of `source`, the file it was read from.
 
     Relative paths are made relative to `folder`, absolute ones stay. said: comments for its first lines.
@@ -27,7 +27,7 @@ def exported_toml(description: RobotDescription, source: Path, folder: Path, sai
         if here is not None and key in here and not _is_absolute(before, (*tables, key)):
             here[key] = _relative(Path(here[key]), folder)
     wanted["urdf"] = description.urdf.name
-    comments = "".join(f"# {_one_line(text)}\n" for text in said)
+    comments = "".join(f"# {_one_line(text)}\n" for text in remarks)
     text = comments + tomlkit.dumps(_edited(before, wanted))
     if not _says(text, wanted):  # a layout that tomlkit can't edit: without its comments then
         text = comments + tomlkit.dumps(wanted)

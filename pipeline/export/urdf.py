@@ -31,7 +31,7 @@ class CalibratedUrdf:
     target: str  # the link that is T: its pose in the tool frame
 
 
-def calibrated_urdf(urdf: str, robot: BuiltRobot, mechanism: Mechanism, said: Sequence[str]) -> CalibratedUrdf:
+def calibrated_urdf(urdf: str, robot: BuiltRobot, mechanism: Mechanism, remarks: Sequence[str]) -> CalibratedUrdf:
     """`urdf`, the text that the robot's chain was read from, with the robot's placements, W and T.
 
     A loop's frame is moved where its link is a leaf on a fixed joint that serves nothing else; it gets a new link
@@ -62,7 +62,7 @@ def calibrated_urdf(urdf: str, robot: BuiltRobot, mechanism: Mechanism, said: Se
         loop_frames.append((names[0], names[1]))
     instrument = document.add("instrument", document.link(mechanism.base_frame), robot.instrument.inverse())
     target = document.add("target", document.link(mechanism.tool_frame), robot.target)
-    return CalibratedUrdf(document.text(said), tuple(loop_frames), instrument, target)
+    return CalibratedUrdf(document.text(remarks), tuple(loop_frames), instrument, target)
 
 
 def require_urdf(text: str) -> None:
@@ -141,8 +141,8 @@ class _Document:
         names = (wanted, *(f"{wanted}_{k}" for k in range(2, len(taken) + 3)))
         return next(name for name in names if name not in taken)
 
-    def text(self, said: Sequence[str]) -> str:
-        comments = "".join(f"<!--{text}-->\n" for text in (*map(_as_comment, said), *self._comments))
+    def text(self, remarks: Sequence[str]) -> str:
+        comments = "".join(f"<!--{text}-->\n" for text in (*map(_as_comment, remarks), *self._comments))
         return f'<?xml version="1.0"?>\n{comments}{Xml.tostring(self._root, encoding="unicode")}\n'
 
 

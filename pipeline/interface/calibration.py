@@ -390,9 +390,9 @@ class Calibration:
         from kincal.pipeline.run.changes import file_digest
         from kincal.pipeline.run.provenance import provenance
 
-        found = provenance(self._session.entries, stages, self._session.command)
-        found["files"] |= {name: file_digest(file) for name, file in (files or {}).items()}
-        return found
+        document = provenance(self._session.entries, stages, self._session.command)
+        document["files"] |= {name: file_digest(file) for name, file in (files or {}).items()}
+        return document
 
     def status(self) -> pd.DataFrame:
         """Each stage, whether it is fresh, stale or missing, and why. Nothing runs."""

@@ -21,8 +21,8 @@ Readings: TypeAlias = "pd.DataFrame | np.ndarray | str | PathLike[str]"
 FRAME = "the DataFrame"  # how messages name a table that has no file
 
 
-def raw_table(data: Data, measure: Measure, what: str) -> tuple[pd.DataFrame, Path | str]:
-    """A table as it is, and how messages name it. Raises InputError; `what` names the argument.
+def raw_table(data: Data, measure: Measure, argument: str) -> tuple[pd.DataFrame, Path | str]:
+    """A table as it is, and how messages name it. Raises InputError; `argument` names the argument.
 
     A file is read with the separator and the decimal sign of `measure`.
     """
@@ -33,8 +33,8 @@ def raw_table(data: Data, measure: Measure, what: str) -> tuple[pd.DataFrame, Pa
     if isinstance(data, str | PathLike):
         return load(Path(data), measure), Path(data)
     if not isinstance(data, pd.DataFrame):  # pyright: ignore[reportUnnecessaryIsInstance]
-        found = type(data).__name__
-        raise InputError(f"{what}: found a {found}; allowed are a DataFrame, or the path of a CSV or Parquet file")
+        kind = type(data).__name__
+        raise InputError(f"{argument}: found a {kind}; allowed are a DataFrame, or the path of a CSV or Parquet file")
     names = [str(name) for name in data.columns]
     check_names(FRAME, names)
     return data.set_axis(names, axis="columns"), FRAME

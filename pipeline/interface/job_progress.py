@@ -60,8 +60,8 @@ class JobProgress:
 
     def __call__(self, task: Task, outcome: Outcome | Failure | None) -> None:
         if outcome is None:
-            what = self._labels[task.job] if task.final else _beginning(task)
-            self._running[task] = self._bar.add_task(f"  {what}", total=None, now="")
+            label = self._labels[task.job] if task.final else _beginning(task)
+            self._running[task] = self._bar.add_task(f"  {label}", total=None, now="")
             return
         if task in self._running:
             self._bar.remove_task(self._running.pop(task))

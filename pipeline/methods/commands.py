@@ -75,13 +75,13 @@ def commands(
 
 def _obstacles(tried: Attempt, chain: ClosedChain, workspace: Workspace) -> tuple[str, ...]:
     """(n,) what stands in the way of each command, to be said after the pose's number; empty where nothing does."""
-    found = np.full(len(tried.readings), "", dtype=object)
+    obstacles = np.full(len(tried.readings), "", dtype=object)
     # what matters most comes last
-    found[tried.condition > workspace.max_condition] = (
+    obstacles[tried.condition > workspace.max_condition] = (
         f" is near a singularity (condition number beyond max_condition = {workspace.max_condition:g})"
     )
-    for row, said in beyond_limits(chain, tried.closure.q).items():
-        found[row] = f": {said}"
-    found[~tried.closure.closed] = " can't be reached: the loops don't close there"
-    found[~tried.reached] = " can't be reached"
-    return tuple(found)
+    for row, message in beyond_limits(chain, tried.closure.q).items():
+        obstacles[row] = f": {message}"
+    obstacles[~tried.closure.closed] = " can't be reached: the loops don't close there"
+    obstacles[~tried.reached] = " can't be reached"
+    return tuple(obstacles)

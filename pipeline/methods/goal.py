@@ -64,16 +64,16 @@ class Goal:
         """
         chain, axes = self.robot.chain, list(self.robot.chain.tool_axes)
         u = self._start() if near is None or self.whole else tool_coordinates(chain, near.pose)
-        found = inverse(chain, u, None if near is None else near.q)
+        closure = inverse(chain, u, None if near is None else near.q)
         if self.whole:
-            return found, found.closed
+            return closure, closure.closed
         for _ in range(_ITERATIONS):
-            step = self._step(found)
+            step = self._step(closure)
             if np.max(np.abs(step), initial=0.0) < _SETTLED:
                 break
             u[:, axes] -= step
-            found = inverse(chain, u, found.q)
-        return found, found.closed & (np.abs(self._step(found)).max(axis=1) < _SETTLED)
+            closure = inverse(chain, u, closure.q)
+        return closure, closure.closed & (np.abs(self._step(closure)).max(axis=1) < _SETTLED)
 
     def coordinates(self, predicted: Motion) -> np.ndarray:
         """u: (n, 6) of `tool`."""
@@ -129,14 +129,14 @@ class Goal:
         axes = list(self.robot.chain.tool_axes)
         return np.eye(len(axes)) - self.rates(q)[:, axes]
 
-    def _step(self, found: Closure) -> np.ndarray:
+    def _step(self, closure: Closure) -> np.ndarray:
         """(n, n_tool_axes): Newton's step in the tool coordinates; 0 where the loops don't close."""
-        rows, axes = np.flatnonzero(found.closed), list(self.robot.chain.tool_axes)
-        step = np.zeros((len(found.q), len(axes)))
-        here, pose = self[rows], found.pose[rows]
+        rows, axes = np.flatnonzero(closure.closed), list(self.robot.chain.tool_axes)
+        step = np.zeros((len(closure.q), len(axes)))
+        here, pose = self[rows], closure.pose[rows]
         error = tool_coordinates(self.robot.chain, pose) - here.coordinates(self.robot.measured(pose))
         error[:, 3:] = wrap(error[:, 3:])
-        step[rows] = (np.linalg.pinv(here._sight(found.q[rows]), rcond=_SEEN) @ error[:, axes, None])[..., 0]
+        step[rows] = (np.linalg.pinv(here._sight(closure.q[rows]), rcond=_SEEN) @ error[:, axes, None])[..., 0]
         return step
 
     def __getitem__(self, rows: np.ndarray) -> Goal:

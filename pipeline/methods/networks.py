@@ -71,7 +71,11 @@ def learned(
         outputs += [drawn, drawn, as_built.of_measured(measured, pose)]
         rows += [np.setdiff1d(np.arange(len(measured)), fit.test)] * 3
     networks, trained = train(
-        [network for own, other in zip(nominal, built, strict=True) for network in (pretrained.start, own, other)],
+        [
+            network
+            for as_drawn_network, other in zip(nominal, built, strict=True)
+            for network in (pretrained.start, as_drawn_network, other)
+        ],
         measured.readings,
         outputs,
         rows,

@@ -54,17 +54,17 @@ class ModelMethod:
         return self.robot.measured(closure.pose)
 
     def command(self, desired: Motion, channels: tuple[str, ...] = WHOLE) -> tuple[np.ndarray, np.ndarray]:
-        found, met = Goal.of(self.robot, desired, channels).solve()
-        readings = self.readings(found)
-        return readings, met & self.on_branch(readings, found)
+        closure, met = Goal.of(self.robot, desired, channels).solve()
+        readings = self.readings(closure)
+        return readings, met & self.on_branch(readings, closure)
 
-    def readings(self, found: Closure) -> np.ndarray:
-        return self.robot.actuators.readings(found.q[:, self.robot.chain.actuated])
+    def readings(self, closure: Closure) -> np.ndarray:
+        return self.robot.actuators.readings(closure.q[:, self.robot.chain.actuated])
 
-    def on_branch(self, readings: np.ndarray, found: Closure) -> np.ndarray:
+    def on_branch(self, readings: np.ndarray, solution: Closure) -> np.ndarray:
         """(n,): whether the readings lead from home to the configurations, and not to another assembly branch."""
         chain, closure = self.robot.chain, self.close(readings)
-        apart = tool_coordinates(chain, closure.pose) - tool_coordinates(chain, found.pose)
+        apart = tool_coordinates(chain, closure.pose) - tool_coordinates(chain, solution.pose)
         left = np.abs(wrap(apart)[:, list(chain.tool_axes)]).max(axis=1)
         return closure.closed & (left < _REACHED)
 
@@ -98,9 +98,9 @@ class HybridMethod:
         if not len(rows):
             return alone, closed
         closure = self.close(readings[rows], None if start is None else start[rows])
-        rows, found = rows[closure.closed], closure.pose[closure.closed]  # where it can't be closed it says nothing
+        rows, poses = rows[closure.closed], closure.pose[closure.closed]  # where it can't be closed it says nothing
         closed[rows] = closure.q[closure.closed]
-        corrected, model, part = self.refined.measured(found), alone[rows], share[rows, None]
+        corrected, model, part = self.refined.measured(poses), alone[rows], share[rows, None]
         turned = model.rotation @ exp(part * log(model.rotation.swapaxes(1, 2) @ corrected.rotation))
         moved = model.translation + part * (corrected.translation - model.translation)
         rotation, translation = alone.rotation.copy(), alone.translation.copy()
@@ -113,13 +113,17 @@ class HybridMethod:
         if self.correction.shrinkage == 0.0:
             return self.geometric.command(desired, channels)
         robot, gain = self.geometric.robot, self.refined.actuators.gain
-        found, met = Goal.of(robot, desired, channels).solve()
-        readings, refined, still = self.geometric.readings(found), found.q.copy(), np.zeros(len(found.q), dtype=bool)
+        solution, met = Goal.of(robot, desired, channels).solve()
+        readings, refined, still = (
+            self.geometric.readings(solution),
+            solution.q.copy(),
+            np.zeros(len(solution.q), dtype=bool),
+        )
         for _ in range(_ITERATIONS):
             going = np.flatnonzero(met & ~still)
             if not len(going):
                 break
-            near = found[going]
+            near = solution[going]
             alone = robot.measured(near.pose)
             here, refined[going] = self._predicted(readings[going], alone, refined[going])
             wanted = Goal.of(robot, desired[going], channels).filled(here)
@@ -129,18 +133,18 @@ class HybridMethod:
                 wanted.translation + alone.translation - here.translation,
             )
             stepped, met[going] = Goal.of(robot, aim, channels).solve(near)
-            found = found.replaced(going, stepped)
+            solution = solution.replaced(going, stepped)
             before, readings[going] = readings[going], self.geometric.readings(stepped)
             still[going] = np.abs(gain * (readings[going] - before)).max(axis=1) < _STILL
-        return readings, met & still & self._on_branch(readings, found, refined)
+        return readings, met & still & self._on_branch(readings, solution, refined)
 
-    def _on_branch(self, readings: np.ndarray, found: Closure, refined: np.ndarray) -> np.ndarray:
+    def _on_branch(self, readings: np.ndarray, solution: Closure, refined: np.ndarray) -> np.ndarray:
         """(n,): whether the readings lead from home to these configurations, of both models."""
-        alone = self.geometric.robot.measured(found.pose)
-        (here, _), (there, _) = (self._predicted(readings, alone, start) for start in (refined, None))
-        apart = np.abs(here.rotation - there.rotation).max(axis=(1, 2))
-        apart = np.maximum(apart, np.abs(here.translation - there.translation).max(axis=1))
-        return self.geometric.on_branch(readings, found) & (apart < _REACHED)
+        alone = self.geometric.robot.measured(solution.pose)
+        (here, _), (from_home, _) = (self._predicted(readings, alone, start) for start in (refined, None))
+        apart = np.abs(here.rotation - from_home.rotation).max(axis=(1, 2))
+        apart = np.maximum(apart, np.abs(here.translation - from_home.translation).max(axis=1))
+        return self.geometric.on_branch(readings, solution) & (apart < _REACHED)
 
 
 @dataclass(frozen=True)
@@ -160,9 +164,9 @@ class NetworkMethod:
         goal = Goal.of(robot, desired, channels).seen_by(self.chart.channels)
         q, left, going = robot.close(readings).q, np.full(len(readings), np.inf), np.flatnonzero(closed)
         for _ in range(_ITERATIONS):
-            error, slope, there = self._linearised(goal[going], readings[going], q[going])
-            going, error, slope = going[there.closed], error[there.closed][:, axes], slope[there.closed][:, axes]
-            q[going] = there.q[there.closed]
+            error, slope, closure = self._linearised(goal[going], readings[going], q[going])
+            going, error, slope = going[closure.closed], error[closure.closed][:, axes], slope[closure.closed][:, axes]
+            q[going] = closure.q[closure.closed]
             inverse = np.linalg.pinv(slope)
             step = (inverse @ error[..., None])[..., 0]
             if len(axes) > readings.shape[1]:  # a hinge can't turn to every tilt: to the nearest
@@ -184,15 +188,15 @@ class NetworkMethod:
         if goal.whole or (chart.tilt and not chart.moved):  # nothing that is filled in shows in the outputs
             n = np.ones(len(q))
             return y - chart.of_tool(goal.tool(goal.desired)), slope, Closure(q, goal.desired, n > 0, 0 * n)
-        there = robot.close(readings, q)
-        tool = goal.tool(chart.posed(y, there.pose.rotation))
-        by_actuators = np.linalg.pinv(np.nan_to_num(actuator_jacobian(robot.chain, there.q)))
-        rates = goal.rates(there.q) @ (by_actuators * robot.actuators.gain)
+        closure = robot.close(readings, q)
+        tool = goal.tool(chart.posed(y, closure.pose.rotation))
+        by_actuators = np.linalg.pinv(np.nan_to_num(actuator_jacobian(robot.chain, closure.q)))
+        rates = goal.rates(closure.q) @ (by_actuators * robot.actuators.gain)
         if chart.full:
             slope[:, :3] -= rates[:, 3:]
         if chart.moved:
             slope[:, -3:] -= rates[:, :3]
-        return y - chart.of_tool(tool), slope, there
+        return y - chart.of_tool(tool), slope, closure
 
 
 def _used(chart: Chart) -> list[int]:
@@ -209,15 +213,15 @@ def build(
     """{name: method} of one fit, in the table's order; without the learned ones where they are not given."""
     nominal, identified = model.robot(fit.registered), model.robot(fit.identified)
     geometric = ModelMethod(identified)
-    found: dict[str, Method] = {"nominal": ModelMethod(nominal, "nominal"), "geometric": geometric}
+    methods: dict[str, Method] = {"nominal": ModelMethod(nominal, "nominal"), "geometric": geometric}
     if learned is not None:
         as_drawn, as_built = Chart(nominal, channels), Chart(identified, channels)
-        found["network"] = NetworkMethod(learned.network, as_drawn)
-        found["transfer"] = NetworkMethod(learned.transfer, as_drawn)
-        found["transfer_identified"] = NetworkMethod(learned.transfer_identified, as_built)
+        methods["network"] = NetworkMethod(learned.network, as_drawn)
+        methods["transfer"] = NetworkMethod(learned.transfer, as_drawn)
+        methods["transfer_identified"] = NetworkMethod(learned.transfer_identified, as_built)
     if corrected is not None:
-        found["hybrid"] = HybridMethod(geometric, model.robot(corrected.refined), corrected.correction)
-    return found
+        methods["hybrid"] = HybridMethod(geometric, model.robot(corrected.refined), corrected.correction)
+    return methods
 
 
 def uncalibrated(model: ErrorModel) -> Method:

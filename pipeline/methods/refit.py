@@ -55,10 +55,10 @@ def refitted(method: Method, measured: Measurements, register: bool, rehome: boo
         def residuals(x: np.ndarray) -> np.ndarray:
             return pose_residual(moved(x, start).predict(measured.readings), measured).ravel()
 
-        found = least_squares(residuals, np.zeros(6 * register + n * rehome), method="trf", x_scale=1e-2, xtol=1e-12)
-        return found, moved(found.x, start)
+        solution = least_squares(residuals, np.zeros(6 * register + n * rehome), method="trf", x_scale=1e-2, xtol=1e-12)
+        return solution, moved(solution.x, start)
 
-    found, best = min((fit(start) for start in starts), key=lambda pair: pair[0].cost)
-    if not found.success:
-        raise CalibrationError(f"the fit of W and the zeros did not converge: {found.message}")
+    solution, best = min((fit(start) for start in starts), key=lambda pair: pair[0].cost)
+    if not solution.success:
+        raise CalibrationError(f"the fit of W and the zeros did not converge: {solution.message}")
     return best

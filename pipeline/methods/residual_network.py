@@ -49,8 +49,8 @@ def corrected(
 
     sigmas_known: of the instruments; else `measured` has those of what geometry leaves.
     """
-    own = np.setdiff1d(np.arange(len(measured)), fit.test)
-    poses = measured[own]
+    training = np.setdiff1d(np.arange(len(measured)), fit.test)
+    poses = measured[training]
     if not sigmas_known:  # what geometry leaves is no measure of the instruments: the noise is found anew, from below
         poses = poses.scaled(dict.fromkeys(poses.channels, _BELOW))
     sigma = prior_sigma(model.parameters)

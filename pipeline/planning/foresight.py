@@ -57,11 +57,11 @@ def foresee(description: RobotDescription, model: Model, plan: PosePlan) -> Fore
     zero = np.zeros(len(planned.model.parameters))
     measured = expected(planned.model, zero, readings, q, planned.channels, planned.sensor)
     estimate = foreseen(planned.model, measured)
-    found = summarise(planned.model, measured, estimate, estimate)
+    identification = summarise(planned.model, measured, estimate, estimate)
     blocks = planned.model.jacobian(zero, measured, q)
     alone = named(planned.channels)[0].alone if len(planned.channels) == 1 else ""
     return Foresight(
-        replace(found, findings=(alone,) if alone else (), outliers=()),
+        replace(identification, findings=(alone,) if alone else (), outliers=()),
         planned.probe.accuracy(blocks * prior_sigma(planned.model.parameters)),
-        observability(blocks, planned.model.parameters, found.rank),
+        observability(blocks, planned.model.parameters, identification.rank),
     )

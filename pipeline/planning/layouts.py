@@ -39,8 +39,8 @@ class Wanted:
     deg: float | None = None
     mm: float | None = None
 
-    def met(self, found: PredictedAccuracy) -> bool:
-        pairs = ((self.deg, found.mean_deg), (self.mm, found.mean_mm))
+    def met(self, accuracy: PredictedAccuracy) -> bool:
+        pairs = ((self.deg, accuracy.mean_deg), (self.mm, accuracy.mean_mm))
         return all(wanted is None or (mean is not None and mean <= wanted) for wanted, mean in pairs)
 
     def __str__(self) -> str:
@@ -171,12 +171,12 @@ def plan_report(
 
 
 def _check_measured(wanted: Wanted, probe: Probe) -> None:
-    for option, value, what, seen in (
+    for option, value, quantity, seen in (
         ("--accuracy", wanted.deg, "orientation", probe.turned),
         ("--accuracy-mm", wanted.mm, "position", probe.moved),
     ):
         if value is not None and seen is None:
-            raise InputError(f"{option}: {what} is not measured; see measure.channels")
+            raise InputError(f"{option}: {quantity} is not measured; see measure.channels")
 
 
 def _said(accuracy: PredictedAccuracy) -> str:

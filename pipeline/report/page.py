@@ -85,9 +85,9 @@ def _axes(width: float, height: float) -> tuple[Figure, Any]:
     return figure, axes
 
 
-def _drawn(draw: Callable[[Identification, Any], None], found: Identification, height: float) -> Markup:
+def _drawn(draw: Callable[[Identification, Any], None], identification: Identification, height: float) -> Markup:
     figure = Figure(figsize=(9.0, height), layout="constrained")
-    draw(found, figure.add_subplot())
+    draw(identification, figure.add_subplot())
     return _svg(figure)
 
 
@@ -95,7 +95,7 @@ def _methods(compared: Comparison) -> Markup:
     in_degrees = compared.methods[0].mean_deg is not None
     key, unit = ("deg", "degrees") if in_degrees else ("mm", "mm")
     rows = [compared.raw_nominal, *compared.methods]
-    mean, largest = ([getattr(row, f"{what}_{key}") for row in rows] for what in ("mean", "max"))
+    mean, largest = ([getattr(row, f"{index}_{key}") for row in rows] for index in ("mean", "max"))
     figure, axes = _axes(6.4, 0.9 + 0.36 * len(rows))
     places = np.arange(len(rows))
     axes.barh(places, mean, height=0.55, color=BLUE, label="mean")

@@ -21,13 +21,13 @@ _TABLE_2 = {"mean": (0.195, 0.040, 0.015), "max": (0.479, 0.136, 0.055), "sd": (
 
 
 def _cells() -> dict[tuple[str, str, str], float]:
-    found = {}
+    cells = {}
     for k, method in enumerate(_COLUMNS):
         for index in INDICES:
             for a, axis in enumerate(AXES[:3]):
-                found[method, axis, index] = _TABLE_1[index][3 * k + a]
-            found[method, AXES[3], index] = _TABLE_2[index][k]
-    return found
+                cells[method, axis, index] = _TABLE_1[index][3 * k + a]
+            cells[method, AXES[3], index] = _TABLE_2[index][k]
+    return cells
 
 
 # {(method, axis, index): deg} on the 30 testing configurations of 150; per axis table 1, volumetric table 2

@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 
-from kincal.identification.channels import named
 from kincal.identification.identification import HUMAN, Identification
 from kincal.learning.correction import Correction
 from kincal.pipeline.results import MethodScore, Model
@@ -35,14 +34,14 @@ def degrees(value: float | None) -> str:
 def comparison_tables(methods: Sequence[MethodScore], raw: MethodScore | None = None) -> tuple[Table, ...]:
     """One row a method: orientation errors, then position errors; only what was measured has a table."""
     rows = [*([raw] if raw else []), *methods]
-    found = []
+    tables = []
     if rows and rows[0].mean_deg is not None:
         cells = ([fixed(v, 5) for v in (r.mean_deg, r.max_deg, r.sd_deg, *r.axis_mean_deg.values())] for r in rows)
-        found.append(_by_method(rows, ("mean [deg]", "max [deg]", "SD [deg]", "x [deg]", "y [deg]", "z [deg]"), cells))
+        tables.append(_by_method(rows, ("mean [deg]", "max [deg]", "SD [deg]", "x [deg]", "y [deg]", "z [deg]"), cells))
     if rows and rows[0].mean_mm is not None:
         cells = ([fixed(v, 4) for v in (r.mean_mm, r.max_mm, r.sd_mm)] for r in rows)
-        found.append(_by_method(rows, ("mean [mm]", "max [mm]", "SD [mm]"), cells))
-    return tuple(found)
+        tables.append(_by_method(rows, ("mean [mm]", "max [mm]", "SD [mm]"), cells))
+    return tuple(tables)
 
 
 def _by_method(rows: Sequence[MethodScore], columns: tuple[str, ...], cells: Iterable[list[str]]) -> Table:
@@ -60,32 +59,39 @@ def wave_table(correction: Correction, model: Model) -> Table:
     return Table(("actuator", "period [reading]", "amplitude"), tuple(rows))
 
 
-def parameter_table(found: Identification) -> Table:
+def parameter_table(identification: Identification) -> Table:
     """One row a parameter, in millimetres and degrees."""
     rows = []
-    for k, name in enumerate(found.names):
-        unit, factor = HUMAN[found.units[k]]
-        nominal, change, std = found.nominal[k] * factor, found.change[k] * factor, found.std[k] * factor
+    for k, name in enumerate(identification.names):
+        unit, factor = HUMAN[identification.units[k]]
+        nominal, change, std = (
+            identification.nominal[k] * factor,
+            identification.change[k] * factor,
+            identification.std[k] * factor,
+        )
         known, digits = bool(np.isfinite(std)), _digits(std)
         low, high = nominal + change - _Z95 * std, nominal + change + _Z95 * std
         cells = [f"{value:.{digits}f}" for value in (nominal, nominal + change, change)]
         cells += [f"{std:.{digits}f}", f"{low:.{digits}f} .. {high:.{digits}f}"] if known else ["", ""]
-        moved = found.change[k] / found.tolerance[k]
-        cells += [f"{moved:+.1f}" if np.isfinite(found.tolerance[k]) else "", f"{100 * found.data_share[k]:.0f} %"]
-        rows.append((name, unit, *cells, _seen(found, k)))
+        moved = identification.change[k] / identification.tolerance[k]
+        cells += [
+            f"{moved:+.1f}" if np.isfinite(identification.tolerance[k]) else "",
+            f"{100 * identification.data_share[k]:.0f} %",
+        ]
+        rows.append((name, unit, *cells, _seen(identification, k)))
     columns = ("parameter", "unit", "nominal", "identified", "change", "sigma", "95 % interval", "in tolerances")
     return Table((*columns, "from data", "identifiable"), tuple(rows))
 
 
-def foreseen_table(found: Identification) -> Table:
+def foreseen_table(identification: Identification) -> Table:
     """One row a parameter, before anybody has measured: what is known of it, and what will be."""
     rows = []
-    for k, name in enumerate(found.names):
-        unit, factor = HUMAN[found.units[k]]
-        std, tolerance = found.std[k] * factor, found.tolerance[k] * factor
-        cells = [f"{found.nominal[k] * factor:.4f}", f"{tolerance:.4g}" if np.isfinite(tolerance) else ""]
-        cells += [f"{std:.{_digits(std)}f}" if np.isfinite(std) else "", f"{100 * found.data_share[k]:.0f} %"]
-        rows.append((name, unit, *cells, _seen(found, k)))
+    for k, name in enumerate(identification.names):
+        unit, factor = HUMAN[identification.units[k]]
+        std, tolerance = identification.std[k] * factor, identification.tolerance[k] * factor
+        cells = [f"{identification.nominal[k] * factor:.4f}", f"{tolerance:.4g}" if np.isfinite(tolerance) else ""]
+        cells += [f"{std:.{_digits(std)}f}" if np.isfinite(std) else "", f"{100 * identification.data_share[k]:.0f} %"]
+        rows.append((name, unit, *cells, _seen(identification, k)))
     columns = ("parameter", "unit", "nominal", "tolerance", "sigma after", "from data", "identifiable")
     return Table(columns, tuple(rows))
 
@@ -95,24 +101,24 @@ def _digits(std: float) -> int:
     return int(np.clip(2 - np.floor(np.log10(std)), 0, 8)) if np.isfinite(std) and std > 0 else 6
 
 
-def _seen(found: Identification, k: int) -> str:
-    return "yes" if found.identifiable[k] else f"{100 * found.observable_share[k]:.0f} %"
+def _seen(identification: Identification, k: int) -> str:
+    return "yes" if identification.identifiable[k] else f"{100 * identification.observable_share[k]:.0f} %"
 
 
-def correlations(found: Identification, above: float = 0.9) -> list[tuple[str, str, float]]:
+def correlations(identification: Identification, above: float = 0.9) -> list[tuple[str, str, float]]:
     """Pairs of parameters whose estimates are correlated by more than `above`, the strongest first."""
-    std = np.sqrt(np.diag(found.covariance))
-    known = np.flatnonzero((std > 0) & np.isfinite(found.std))
-    r = found.covariance[np.ix_(known, known)] / np.outer(std[known], std[known])
+    std = np.sqrt(np.diag(identification.covariance))
+    known = np.flatnonzero((std > 0) & np.isfinite(identification.std))
+    r = identification.covariance[np.ix_(known, known)] / np.outer(std[known], std[known])
     first, second = np.nonzero(np.triu(np.abs(r) > above, 1))
     order = np.argsort(-np.abs(r[first, second]), kind="stable")
-    names = [found.names[k] for k in known]
+    names = [identification.names[k] for k in known]
     return [(names[first[k]], names[second[k]], float(r[first[k], second[k]])) for k in order]
 
 
-def collinear_lines(found: Identification, most: int = 5) -> list[str]:
+def collinear_lines(identification: Identification, most: int = 5) -> list[str]:
     """Belsley's diagnostics in words: near dependencies, and the parameters that take part."""
-    c = found.collinearity
+    c = identification.collinearity
     high = [k for k in np.argsort(-c.condition_indexes) if c.condition_indexes[k] > _CONDITION_INDEX]
     inflated = np.argsort(-c.inflation)
     n_inflated = int(np.sum(c.inflation > _INFLATION))
@@ -132,89 +138,90 @@ def collinear_lines(found: Identification, most: int = 5) -> list[str]:
     return lines
 
 
-def sensor_sigmas(found: Identification) -> str:
+def sensor_sigmas(identification: Identification) -> str:
     """One sigma of each channel, for people."""
-    channels = named(found.sensor_std)
-    return "; ".join(f"{c.name} {c.human[1] * found.sensor_std[c.name]:.3g} {c.human[0]}" for c in channels)
+
+    channels = named(identification.sensor_std)
+    return "; ".join(f"{c.name} {c.human[1] * identification.sensor_std[c.name]:.3g} {c.human[0]}" for c in channels)
 
 
-def summary_lines(found: Identification) -> list[str]:
+def summary_lines(identification: Identification) -> list[str]:
     """Rank decision, conditioning and collinearity, correlations; what an engineer asks before the numbers."""
-    s, rank = found.singular_values, found.rank
-    below = f", the next is {s[rank]:.3g} (gap {found.rank_gap:.1g})" if rank < len(s) else ""
+    s, rank = identification.singular_values, identification.rank
+    below = f", the next is {s[rank]:.3g} (gap {identification.rank_gap:.1g})" if rank < len(s) else ""
     lines = [
-        f"rank {rank} of {len(found.names)} parameters: singular value {rank} is {s[rank - 1]:.3g}{below}, tolerance "
-        f"{found.rank_tolerance:.2g}; condition number {found.condition_number:.3g}",
-        *collinear_lines(found),
+        f"rank {rank} of {len(identification.names)} parameters: singular value {rank} is {s[rank - 1]:.3g}{below}, "
+        f"tolerance {identification.rank_tolerance:.2g}; condition number {identification.condition_number:.3g}",
+        *collinear_lines(identification),
     ]
-    pairs = correlations(found)
+    pairs = correlations(identification)
     listed = "; ".join(f"{a} and {b} {r:+.3f}" for a, b, r in pairs[:3])
     lines.append(f"{len(pairs)} pairs of estimates correlated by more than 0.9{': ' + listed if listed else ''}")
     return lines
 
 
-def parameters_json(robot: str, found: Identification) -> dict[str, Any]:
+def parameters_json(robot: str, identification: Identification) -> dict[str, Any]:
     """The document of `inspect --json`: SI units and radians; null where neither data nor prior see a parameter."""
     parameters = []
-    for k, name in enumerate(found.names):
-        identified, std = found.nominal[k] + found.change[k], found.std[k]
+    for k, name in enumerate(identification.names):
+        identified, std = identification.nominal[k] + identification.change[k], identification.std[k]
         parameters.append(
             {
                 "name": name,
-                "unit": found.units[k],
-                "nominal": float(found.nominal[k]),
+                "unit": identification.units[k],
+                "nominal": float(identification.nominal[k]),
                 "identified": float(identified),
-                "change": float(found.change[k]),
+                "change": float(identification.change[k]),
                 "std": _finite(std),
                 "low": _finite(identified - _Z95 * std),
                 "high": _finite(identified + _Z95 * std),
-                "identifiable": bool(found.identifiable[k]),
-                "observable_share": float(found.observable_share[k]),
-                "tolerance": _finite(found.tolerance[k]),
-                "change_in_tolerances": _finite(found.change[k] / found.tolerance[k]),
-                "data_share": float(found.data_share[k]),
-                "prior_share": float(1 - found.data_share[k]),
+                "identifiable": bool(identification.identifiable[k]),
+                "observable_share": float(identification.observable_share[k]),
+                "tolerance": _finite(identification.tolerance[k]),
+                "change_in_tolerances": _finite(identification.change[k] / identification.tolerance[k]),
+                "data_share": float(identification.data_share[k]),
+                "prior_share": float(1 - identification.data_share[k]),
             }
         )
-    c = found.collinearity
+    c = identification.collinearity
     return {
         "robot": robot,
-        "n_poses": found.n_poses,
-        "channels": list(found.channels),
-        "sensor_std": found.sensor_std,
-        "sensor_estimated": found.sensor_estimated,
-        "estimator": found.estimator,
-        "loss": found.loss,
-        "shrinkage": found.shrinkage,
-        "rank": found.rank,
-        "n_parameters": len(found.names),
-        "condition_number": _finite(found.condition_number),
-        "rank_tolerance": found.rank_tolerance,
-        "rank_gap": _finite(found.rank_gap),
-        "singular_values": found.singular_values.tolist(),
+        "n_poses": identification.n_poses,
+        "channels": list(identification.channels),
+        "sensor_std": identification.sensor_std,
+        "sensor_estimated": identification.sensor_estimated,
+        "estimator": identification.estimator,
+        "loss": identification.loss,
+        "shrinkage": identification.shrinkage,
+        "rank": identification.rank,
+        "n_parameters": len(identification.names),
+        "condition_number": _finite(identification.condition_number),
+        "rank_tolerance": identification.rank_tolerance,
+        "rank_gap": _finite(identification.rank_gap),
+        "singular_values": identification.singular_values.tolist(),
         "parameters": parameters,
-        "unobservable": list(found.unobservable),
-        "unobservable_basis": found.unobservable_basis.tolist(),
+        "unobservable": list(identification.unobservable),
+        "unobservable_basis": identification.unobservable_basis.tolist(),
         "collinearity": {
             "parameters": list(c.parameters),
             "variance_inflation": c.inflation.tolist(),
             "condition_indexes": c.condition_indexes.tolist(),
             "variance_proportions": c.proportions.tolist(),
         },
-        "correlations": [{"parameters": [a, b], "correlation": r} for a, b, r in correlations(found)],
-        "chi_square": found.chi_square,
-        "degrees_of_freedom": found.degrees_of_freedom,
-        "iterations": found.iterations,
-        "message": found.message,
-        "residual_rms": dict(found.residual_size),
-        "outliers": [vars(outlier) for outlier in found.outliers],
-        "findings": list(found.findings),
+        "correlations": [{"parameters": [a, b], "correlation": r} for a, b, r in correlations(identification)],
+        "chi_square": identification.chi_square,
+        "degrees_of_freedom": identification.degrees_of_freedom,
+        "iterations": identification.iterations,
+        "message": identification.message,
+        "residual_rms": dict(identification.residual_size),
+        "outliers": [vars(outlier) for outlier in identification.outliers],
+        "findings": list(identification.findings),
     }
 
 
-def foreseen_json(robot: str, found: Identification, more: dict[str, Any]) -> dict[str, Any]:
+def foreseen_json(robot: str, identification: Identification, more: dict[str, Any]) -> dict[str, Any]:
     """The document of `inspect --before --json`: without what only readings tell."""
-    document = parameters_json(robot, found)
+    document = parameters_json(robot, identification)
     for key in ("chi_square", "degrees_of_freedom", "iterations", "message", "residual_rms", "outliers"):
         del document[key]
     for parameter in document["parameters"]:

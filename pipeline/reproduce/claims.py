@@ -66,15 +66,15 @@ class Claims:
         return f"where n >= {_MANY} {verdicts[many.says]} ({ratio})"
 
 
-def claims(found: Reproduced) -> list[Claims]:
+def claims(results: Reproduced) -> list[Claims]:
     """For each size of network, and for either way of scoring."""
-    study = found.study
+    study = results.study
     hidden = [study.hidden, *(h for h in study.other_hidden if h != study.hidden)]
-    return [_claims(found, h, scored_on) for h in sorted(hidden) for scored_on in SCORED_ON]
+    return [_claims(results, h, scored_on) for h in sorted(hidden) for scored_on in SCORED_ON]
 
 
-def _claims(found: Reproduced, hidden: int, scored_on: str) -> Claims:
-    network, transfer = (studied(found, hidden, method) for method in (BP, TRANSFER))
+def _claims(results: Reproduced, hidden: int, scored_on: str) -> Claims:
+    network, transfer = (studied(results, hidden, method) for method in (BP, TRANSFER))
     n, name = np.array(list(network)), column(scored_on, "volumetric")
     first, second = (np.array([values(by[k], name) for k in network]).T for by in (network, transfer))  # (seeds, sizes)
     compared = [paired(first[:, k], second[:, k]) for k in range(len(n))]
@@ -89,11 +89,11 @@ def _claims(found: Reproduced, hidden: int, scored_on: str) -> Claims:
     return Claims(hidden, scored_on, sizes, trend(n, first / second), many)
 
 
-def claims_rows(found: list[Claims]) -> list[Row]:
+def claims_rows(results: list[Claims]) -> list[Row]:
     """One row a network size, n and way of scoring; then those of n >= 180, and of the trend."""
     empty = dict.fromkeys(_COLUMNS)
     rows = []
-    for c in found:
+    for c in results:
         own = empty | {"hidden": c.hidden, "scored_on": c.scored_on}
         for s in c.sizes:
             row = own | {"claim": "transfer better", "n": s.n, "network_median_deg": s.network_deg}
@@ -112,21 +112,21 @@ def _compared(c: Paired) -> dict[str, float]:
     return {"seeds": c.seeds} | ratios | {"transfer_better_seeds": c.second_better, "p": c.p}
 
 
-def pretraining(found: Reproduced) -> list[Row]:
+def pretraining(results: Reproduced) -> list[Row]:
     """The amount of pre-training data: one row an amount, method and way of scoring; ratios to the paper's amount."""
-    study, rows = found.study, []
+    study, rows = results.study, []
     for method in (TRANSFER, "transfer_identified"):
         place = {"planned_poses": study.measured, "hidden": study.hidden, "method": method}
-        by_place = {(r["prior_poses"], r["seed"]): r for r in found.rows if place.items() <= r.items()}
+        by_place = {(r["prior_poses"], r["seed"]): r for r in results.rows if place.items() <= r.items()}
         for amount in study.priors:
-            own = [row for (prior, _), row in by_place.items() if prior == amount]
-            usual = [by_place[study.prior, row["seed"]] for row in own]
+            amount_rows = [row for (prior, _), row in by_place.items() if prior == amount]
+            usual = [by_place[study.prior, row["seed"]] for row in amount_rows]
             for scored_on in SCORED_ON:
                 name = column(scored_on, "volumetric")
-                row = {"prior_poses": amount, "method": method, "scored_on": scored_on, "seeds": len(own)}
-                row |= summed_up(values(own, name))
-                row |= {"max_median_deg": float(np.median(values(own, column(scored_on, "volumetric", "max"))))}
-                over = paired(values(own, name), values(usual, name))
+                row = {"prior_poses": amount, "method": method, "scored_on": scored_on, "seeds": len(amount_rows)}
+                row |= summed_up(values(amount_rows, name))
+                row |= {"max_median_deg": float(np.median(values(amount_rows, column(scored_on, "volumetric", "max"))))}
+                over = paired(values(amount_rows, name), values(usual, name))
                 row |= {"over_usual": over.ratio, "p": None if amount == study.prior else over.p}
                 rows.append(row)
     return rows

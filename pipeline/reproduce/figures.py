@@ -21,25 +21,25 @@ _WIDTH = 10.5
 
 
 def figures(
-    found: Reproduced, figure_10: Sequence[Row], claims: list[Claims], pretraining: Sequence[Row]
+    results: Reproduced, figure_10: Sequence[Row], claims: list[Claims], pretraining: Sequence[Row]
 ) -> dict[str, str]:
     """{name: SVG}."""
     with rc_context(STYLE):
         return {
-            "figure5": svg(_configurations_5(found)),
-            "figure6": svg(_by_pose(found, training=True)),
-            "figure7": svg(_by_pose(found, training=False)),
-            "figure8": svg(_configurations_8(found)),
+            "figure5": svg(_configurations_5(results)),
+            "figure6": svg(_by_pose(results, training=True)),
+            "figure7": svg(_by_pose(results, training=False)),
+            "figure8": svg(_configurations_8(results)),
             "figure10": svg(_against_n(figure_10)),
             "advantage": svg(_advantage(claims)),
-            "pretraining": svg(_pretraining(pretraining, found.study.prior)),
+            "pretraining": svg(_pretraining(pretraining, results.study.prior)),
         }
 
 
-def _configurations_5(found: Reproduced) -> Figure:
+def _configurations_5(results: Reproduced) -> Figure:
     figure = Figure(figsize=(_WIDTH, 4.6))
-    source, _ = found.grids
-    errors = found.pose_errors[0]
+    source, _ = results.grids
+    errors = results.pose_errors[0]
     trained = np.setdiff1d(np.arange(len(errors.configurations)), errors.tested)
     left = _space(figure, 121, f"(a) source task: {len(source)}")
     left.scatter(*source.T, s=3, color=COLOURS["geometric"], depthshade=False, lw=0)
@@ -50,9 +50,9 @@ def _configurations_5(found: Reproduced) -> Figure:
     return figure
 
 
-def _configurations_8(found: Reproduced) -> Figure:
+def _configurations_8(results: Reproduced) -> Figure:
     figure = Figure(figsize=(5.4, 4.6))
-    _, target = found.grids
+    _, target = results.grids
     axes = _space(figure, 111, f"{len(target)} configurations, of which n are drawn")
     axes.scatter(*target.T, s=10, color=COLOURS["geometric"], depthshade=False, lw=0)
     return figure
@@ -67,9 +67,9 @@ def _space(figure: Figure, place: int, title: str) -> Any:
     return axes
 
 
-def _by_pose(found: Reproduced, training: bool) -> Figure:
+def _by_pose(results: Reproduced, training: bool) -> Figure:
     """Errors configuration by configuration, as measured: network and transfer as points, the others as thin lines."""
-    errors = found.pose_errors[0]
+    errors = results.pose_errors[0]
     each = errors.training if training else errors.testing
     figure = Figure(figsize=(_WIDTH, 6.2), layout="constrained")
     for k, axes in enumerate(figure.subplots(2, 2, sharex=True).flat):
@@ -130,9 +130,9 @@ def _paper(axes: Any, axis: str) -> None:
 def _lines(axes: Any, rows: Sequence[Row], x: str) -> None:
     """Median and quartiles over seeds, one line a method."""
     for name in METHODS:
-        own = [row for row in rows if row["method"] == name]
-        if own:
-            quartile_line(axes, name, *(values(own, key) for key in (x, "median_deg", "low_deg", "high_deg")))
+        method_rows = [row for row in rows if row["method"] == name]
+        if method_rows:
+            quartile_line(axes, name, *(values(method_rows, key) for key in (x, "median_deg", "low_deg", "high_deg")))
 
 
 def _advantage(claims: list[Claims]) -> Figure:

@@ -35,27 +35,27 @@ class Findings:
     figures: dict[str, str]  # {name: SVG}
 
 
-def findings(found: Reproduced) -> Findings:
+def findings(results: Reproduced) -> Findings:
     from kincal.pipeline.reproduce.figures import figures
 
-    cells, against_n, by_range, made = testing(found), figure_10(found), ranges(found), claims(found)
-    tested, prior = claims_rows(made), pretraining(found)
-    study = found.study
+    cells, against_n, by_range, made = testing(results), figure_10(results), ranges(results), claims(results)
+    tested, prior = claims_rows(made), pretraining(results)
+    study = results.study
     document = {
         "paper": "Xu, Tian, Zhang: J. Mar. Sci. Eng. 2024, 12, 275",
-        "robot": found.robot.name,
+        "robot": results.robot.name,
         "study": asdict(study),
-        "jobs": sum(row["method"] == METHODS[0] for row in found.rows),
+        "jobs": sum(row["method"] == METHODS[0] for row in results.rows),
         "scored_on": SCORED,
-        "verdicts": _verdicts(found, made),
-        "choices": [asdict(choice) for choice in choices(found)],
+        "verdicts": _verdicts(results, made),
+        "choices": [asdict(choice) for choice in choices(results)],
         "claims": [asdict(c) | {"better": c.better, "fades": c.fades, "vanishes": c.vanishes} for c in made],
         "testing": cells,
-        "after_compensation": after_compensation(found),
+        "after_compensation": after_compensation(results),
         "figure10": against_n,
         "ranges": by_range,
         "pretraining": prior,
-        "differences": list(paper.differences(found.robot)),
+        "differences": list(paper.differences(results.robot)),
     }
     tables = {
         "table1.csv": [row for row in cells if row["table"] == 1],
@@ -66,21 +66,21 @@ def findings(found: Reproduced) -> Findings:
         "pretraining.csv": prior,
     }
     document = json.loads(json.dumps(document))  # plain values: keys are strings, tuples are lists
-    return Findings(document, tables, figures(found, against_n, made, prior))
+    return Findings(document, tables, figures(results, against_n, made, prior))
 
 
-def _verdicts(found: Reproduced, made: list[Claims]) -> list[str]:
-    said = []
-    for choice in (c for c in choices(found) if c.scored_on == "fresh"):
+def _verdicts(results: Reproduced, made: list[Claims]) -> list[str]:
+    verdicts = []
+    for choice in (c for c in choices(results) if c.scored_on == "fresh"):
         advice = (
             f"{choice.range}: of the paper's two networks {choice.of_two} ({choice.why}); the paper: {choice.paper}"
         )
         over = choice.over_second
         ahead = f"{over.ratio:.2f} times better than {choice.second}, p = {over.p:.2g}"
-        said.append(f"{advice}. Of all six {choice.best}: {degrees(choice.best_deg)} degrees, {ahead}")
-    study = found.study
+        verdicts.append(f"{advice}. Of all six {choice.best}: {degrees(choice.best_deg)} degrees, {ahead}")
+    study = results.study
     ours_first = sorted((c for c in made if c.scored_on == "fresh"), key=lambda c: c.hidden != study.hidden)
-    return said + [f"H = {c.hidden}: {c.better}; {c.fades}; {c.vanishes}" for c in ours_first]
+    return verdicts + [f"H = {c.hidden}: {c.better}; {c.fades}; {c.vanishes}" for c in ours_first]
 
 
 def cell(document: dict[str, Any], scored_on: str, method: str, axis: str, index: str) -> dict[str, Any]:
@@ -102,7 +102,7 @@ def summary(document: dict[str, Any]) -> list[tuple[str, Table]]:
     columns = ("method", *(f"{i}{way}" for i in INDICES for way in (" fresh", " held out", " paper")))
     n, seeds = document["study"]["measured"], document["study"]["seeds"]
     second = Table(columns, tuple(rows))
-    found = [
+    tables = [
         (f"table 2: volumetric error [deg], n = {n}, median over {seeds} seeds; fresh and noise-free, held out", second)
     ]
     for scored_on in SCORED:
@@ -117,8 +117,8 @@ def summary(document: dict[str, Any]) -> list[tuple[str, Table]]:
             lines.append(tuple(line))
         columns = ("method", *(part for label in labels for part in (label, "paper")))
         way = "fresh, noise-free" if scored_on == "fresh" else "held out, as the paper does"
-        found.append((f"mean volumetric error [deg] over three ranges of n, {way}", Table(columns, tuple(lines))))
-    return found
+        tables.append((f"mean volumetric error [deg] over three ranges of n, {way}", Table(columns, tuple(lines))))
+    return tables
 
 
 def _volumetric(row: dict[str, Any], scored_on: str) -> bool:
@@ -146,12 +146,12 @@ def page(made: Findings) -> str:
     )
 
 
-def files(found: Reproduced, made: Findings) -> dict[str, bytes]:
+def files(results: Reproduced, made: Findings) -> dict[str, bytes]:
     """{name: content} of the output folder. The same results give the same bytes."""
     return {
         **{f"{name}.svg": svg.encode() for name, svg in made.figures.items()},
         **{name: _csv(rows) for name, rows in made.tables.items()},
-        "results.parquet": found.table.to_parquet(index=False),
+        "results.parquet": results.table.to_parquet(index=False),
         "results.json": (json.dumps(made.document, indent=1, allow_nan=False) + "\n").encode(),
         "index.html": page(made).encode(),
     }
@@ -165,7 +165,7 @@ def _csv(rows: list[Row]) -> bytes:
     return text.getvalue().encode()
 
 
-def write(found: Reproduced, made: Findings, folder: Path) -> Path:
+def write(results: Reproduced, made: Findings, folder: Path) -> Path:
     """All files, the page last, each replaced at once. Returns the page. Raises InputError."""
-    replace_files(folder, files(found, made), f"--output {folder}")
+    replace_files(folder, files(results, made), f"--output {folder}")
     return folder / "index.html"

@@ -77,8 +77,8 @@ def trend(n: np.ndarray, ratios: np.ndarray) -> Trend | None:
     (rho, p), *each = (np.array(spearmanr(n, row)) for row in rows)
     if len(n) <= _MOST_EXACT:
         p = _exact_p(n, rows[0])
-    own = np.array([rho for rho, _ in each])
-    return Trend(float(rho), float(p), float(np.median(own)), signed_rank(own))
+    correlations = np.array([rho for rho, _ in each])
+    return Trend(float(rho), float(p), float(np.median(correlations)), signed_rank(correlations))
 
 
 def _exact_p(n: np.ndarray, row: np.ndarray) -> float:
@@ -86,11 +86,11 @@ def _exact_p(n: np.ndarray, row: np.ndarray) -> float:
     from scipy.stats import permutation_test, rankdata
 
     of_n = rankdata(n) - rankdata(n).mean()
-    found = permutation_test(
+    test = permutation_test(
         (rankdata(row),),
         lambda ranks, axis: ranks @ of_n,
         permutation_type="pairings",
         n_resamples=factorial(_MOST_EXACT),  # all, if these are enough
         vectorized=True,
     )
-    return float(found.pvalue)
+    return float(test.pvalue)

@@ -28,8 +28,8 @@ class PoseErrors:
 def errors_of(job: Job) -> tuple[PoseErrors, tuple[str, str]]:
     """Of a job whose stages are in the store, made there where they are not; and (stage, key) of their artifact."""
     run, stage = run_of(job), stage_of(pose_errors, ("numpy", "scipy"))
-    found = run.beyond(stage)
-    return found, (stage.name, run.entries[stage.name].manifest["key"])
+    errors = run.beyond(stage)
+    return errors, (stage.name, run.entries[stage.name].manifest["key"])
 
 
 def pose_errors(poses: Poses, fits: Fits, plan: PosePlan, measured: Measured, evaluate: Evaluate) -> PoseErrors:
@@ -48,8 +48,8 @@ def pose_errors(poses: Poses, fits: Fits, plan: PosePlan, measured: Measured, ev
     at, actual = fresh_poses(poses, measured.truth, evaluate.fresh_poses, poses.seed)
 
     def of(methods, readings: np.ndarray, truth: np.ndarray) -> np.ndarray:
-        found = [orientation_error(truth, method.predict(readings).rotation) for method in methods.values()]
-        return np.rad2deg(np.stack(found))
+        errors_by_method = [orientation_error(truth, method.predict(readings).rotation) for method in methods.values()]
+        return np.rad2deg(np.stack(errors_by_method))
 
     seen = measurements.as_poses().rotation
     angles = plan.table.set_index("pose").loc[measurements.pose, [f"planned_r{axis}" for axis in "xyz"]]

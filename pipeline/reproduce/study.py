@@ -70,9 +70,9 @@ class Point:
 
     def overrides(self, study: Study) -> tuple[str, ...]:
         part = (f"split.poses={self.n}",) if self.n < self.planned else ()
-        own = (f"pretrain.hidden={self.hidden}", f"prior.poses={self.prior}")
+        networks = (f"pretrain.hidden={self.hidden}", f"prior.poses={self.prior}")
         open_loop = () if self in tables_points(study) else ("evaluate.closed_loop=false",)
-        return (f"seed={self.seed}", f"plan.poses={self.planned}", *part, *own, *open_loop)
+        return (f"seed={self.seed}", f"plan.poses={self.planned}", *part, *networks, *open_loop)
 
     def __str__(self) -> str:
         return f"n={self.n} of {self.planned} hidden={self.hidden} prior={self.prior} seed={self.seed}"
@@ -111,8 +111,8 @@ class Reproduced:
         from kincal.urdf.description import Plan
 
         sizes = (self.study.prior, self.study.drawn_from)
-        found = (planned(self.robot.workspace, (3, 4, 5), Plan(poses=n), 0) for n in sizes)
-        source, target = (np.rad2deg(u[:, 3:]) for u in found)
+        grids = (planned(self.robot.workspace, (3, 4, 5), Plan(poses=n), 0) for n in sizes)
+        source, target = (np.rad2deg(u[:, 3:]) for u in grids)
         return source, target
 
 
@@ -130,16 +130,16 @@ def tables_points(study: Study) -> list[Point]:
 
 def points(study: Study) -> list[Point]:
     """All jobs, those that take long first; neighbours have different seeds, and don't wait for each other."""
-    found = []
+    places = []
     for prior in sorted(study.priors, reverse=True):
         few = prior > study.few_beyond
         seeds = range(min(study.seeds, study.few_seeds) if few else study.seeds)
-        found += [Point(seed, study.measured, study.measured, study.hidden, prior) for seed in seeds]
-    found += tables_points(study)
+        places += [Point(seed, study.measured, study.measured, study.hidden, prior) for seed in seeds]
+    places += tables_points(study)
     for hidden, sizes in {study.hidden: study.sizes, **study.other_hidden}.items():
         for n in sorted(sizes, reverse=True):
-            found += [Point(seed, study.drawn_from, n, hidden, study.prior) for seed in range(study.seeds)]
-    return list(dict.fromkeys(found))
+            places += [Point(seed, study.drawn_from, n, hidden, study.prior) for seed in range(study.seeds)]
+    return list(dict.fromkeys(places))
 
 
 def plan(
@@ -148,7 +148,7 @@ def plan(
     """The robot, and its jobs. Raises InputError, also for a setting that is not the user's to choose here."""
     for override in overrides:
         key = ".".join(part.strip() for part in override.partition("=")[0].split("."))
-        if any(key == own or key.startswith(f"{own}.") for own in _OWN):
+        if any(key == reserved or key.startswith(f"{reserved}.") for reserved in _OWN):
             raise InputError(f"--set {override}: reproduce chooses {key} itself; `kincal sweep` does not")
     loaded = load_robot(ROBOT, overrides)
     robot, file = loaded.description, str(loaded.file)

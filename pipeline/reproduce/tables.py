@@ -30,12 +30,12 @@ def summed_up(errors: np.ndarray) -> dict[str, float]:
     return {name: float(np.quantile(errors, share)) for name, share in _QUARTILES}
 
 
-def testing(found: Reproduced) -> list[Row]:
+def testing(results: Reproduced) -> list[Row]:
     """Tables 1 and 2: one row a cell, for either way of scoring."""
     rows = []
     for scored_on in SCORED_ON:
-        for k, method in enumerate(found.pose_errors[0].methods):
-            each = [e.fresh[k] if scored_on == "fresh" else e.testing[k] for e in found.pose_errors]
+        for k, method in enumerate(results.pose_errors[0].methods):
+            each = [e.fresh[k] if scored_on == "fresh" else e.testing[k] for e in results.pose_errors]
             for axis in AXES:
                 sizes = [np.abs(e[:, AXES.index(axis)]) if axis in "xyz" else np.linalg.norm(e, axis=1) for e in each]
                 for index, statistic in zip(INDICES, (np.mean, np.max, np.std), strict=True):
@@ -45,28 +45,28 @@ def testing(found: Reproduced) -> list[Row]:
     return rows
 
 
-def after_compensation(found: Reproduced) -> dict[str, dict[str, float]]:
+def after_compensation(results: Reproduced) -> dict[str, dict[str, float]]:
     """{method: median and quartiles} of the mean errors of commands made by each method, on the tables' robots."""
-    rows = [row for row in found.rows if row["closed_loop_mean_deg"] is not None]
+    rows = [row for row in results.rows if row["closed_loop_mean_deg"] is not None]
     by_method = {m: values((row for row in rows if row["method"] == m), "closed_loop_mean_deg") for m in METHODS}
     return {method: summed_up(errors) for method, errors in by_method.items() if len(errors)}
 
 
-def studied(found: Reproduced, hidden: int, method: str) -> dict[int, list[Row]]:
+def studied(results: Reproduced, hidden: int, method: str) -> dict[int, list[Row]]:
     """{n: rows by seed} of the study of n."""
-    place = {"planned_poses": found.study.drawn_from, "hidden": hidden, "method": method}
+    place = {"planned_poses": results.study.drawn_from, "hidden": hidden, "method": method}
     by_size: dict[int, list[Row]] = {}
-    for row in found.rows:
+    for row in results.rows:
         if place.items() <= row.items():
             by_size.setdefault(row["n"], []).append(row)
     return {n: sorted(by_size[n], key=lambda row: row["seed"]) for n in sorted(by_size)}
 
 
-def figure_10(found: Reproduced) -> list[Row]:
+def figure_10(results: Reproduced) -> list[Row]:
     """Mean errors against n: one row a size, method, axis and way of scoring."""
     found_rows = []
     for method in METHODS:
-        for n, rows in studied(found, found.study.hidden, method).items():
+        for n, rows in studied(results, results.study.hidden, method).items():
             for scored_on in SCORED_ON:
                 for axis in AXES:
                     row = {"n": n, "method": method, "scored_on": scored_on, "axis": axis}
@@ -74,24 +74,24 @@ def figure_10(found: Reproduced) -> list[Row]:
     return found_rows
 
 
-def over_range(found: Reproduced, which: Range, scored_on: str, axis: str = AXES[3]) -> dict[str, np.ndarray]:
+def over_range(results: Reproduced, which: Range, scored_on: str, axis: str = AXES[3]) -> dict[str, np.ndarray]:
     """{method: (seeds,)} each seed's mean over the sizes in a range; empty where there are none."""
     name, means = column(scored_on, axis), {}
     for method in METHODS:
-        sizes = studied(found, found.study.hidden, method).items()
+        sizes = studied(results, results.study.hidden, method).items()
         errors = [values(rows, name) for n, rows in sizes if which.low <= n <= which.high]
         if errors:
             means[method] = np.mean(errors, axis=0)
     return means
 
 
-def ranges(found: Reproduced) -> list[Row]:
+def ranges(results: Reproduced) -> list[Row]:
     """The paper's three ranges of n: one row a range, method, axis and way of scoring."""
     rows = []
     for which in RANGES:
         for scored_on in SCORED_ON:
             for axis in AXES:
-                for method, errors in over_range(found, which, scored_on, axis).items():
+                for method, errors in over_range(results, which, scored_on, axis).items():
                     row = {"range": which.label, "scored_on": scored_on, "method": method, "axis": axis}
                     row |= summed_up(errors)
                     printed = which.mean_deg.get(method) if axis == AXES[3] else None
@@ -115,11 +115,11 @@ class Choice:
     over_second: Paired  # the second's error over the best's
 
 
-def choices(found: Reproduced) -> list[Choice]:
+def choices(results: Reproduced) -> list[Choice]:
     made = []
     for which in RANGES:
         for scored_on in SCORED_ON:
-            errors = over_range(found, which, scored_on)
+            errors = over_range(results, which, scored_on)
             if errors:
                 made.append(_choice(which, scored_on, errors))
     return made

@@ -42,14 +42,18 @@ def accept(session: Run, only: Collection[str] = ()) -> list[Accepted]:
     for name in only:
         if name not in all_stages():
             raise InputError(f"--stage {name}: no such stage; {nearest(name, all_stages())}")
-    planned = [found for stage in all_stages().values() if (found := _planned(session, stage, only)) is not None]
+    planned = [
+        stage_plan for stage in all_stages().values() if (stage_plan := _planned(session, stage, only)) is not None
+    ]
     made = time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime())
     accepted = []
     for stage, old, files, parts, changed in planned:
         key = digest(parts)
-        said = {"at": made, "command": session.command, "from_key": old.manifest["key"], "changed": list(changed)}
-        said["from_code"] = digest(old.manifest["parts"]["code"])
-        provenance = old.manifest["provenance"] | {"accepted": [*old.manifest["provenance"].get("accepted", []), said]}
+        record = {"at": made, "command": session.command, "from_key": old.manifest["key"], "changed": list(changed)}
+        record["from_code"] = digest(old.manifest["parts"]["code"])
+        provenance = old.manifest["provenance"] | {
+            "accepted": [*old.manifest["provenance"].get("accepted", []), record]
+        }
         entry = session.store.put(stage.name, key, files, {"parts": parts, "provenance": provenance})
         session.store.remember(session.robot_id, stage.name, key)
         accepted.append(Accepted(stage.name, changed, key, entry.digest))
@@ -68,9 +72,9 @@ def _planned(session: Run, stage: Stage, only: Collection[str]) -> _Plan | None:
         return None
     parts = session.key_parts(stage)
     try:
-        found = session.store.find(stage.name, digest(parts))
-        if found is not None:
-            session.entries[stage.name] = found
+        entry = session.store.find(stage.name, digest(parts))
+        if entry is not None:
+            session.entries[stage.name] = entry
             return None
         if not wanted:
             return None

@@ -25,7 +25,7 @@ def explain(last: Mapping[str, Any] | None, parts: Mapping[str, Any]) -> str:
 
 def change(before: Mapping[str, Any], parts: Mapping[str, Any]) -> str | None:
     """The first difference of what two keys were made of; None: there is none."""
-    for group, said in (
+    for group, label in (
         ("settings", "setting"),
         ("files", "file"),
         ("inputs", "input"),
@@ -38,7 +38,7 @@ def change(before: Mapping[str, Any], parts: Mapping[str, Any]) -> str | None:
             more = f" and {len(changed) - 1} more" if len(changed) > 1 else ""
             shown = group in ("settings", "libraries")
             detail = _change(changed[0], old.get(changed[0]), new.get(changed[0])) if shown else "changed"
-            return f"{said} {changed[0]} {detail}{more}"
+            return f"{label} {changed[0]} {detail}{more}"
     return None
 
 

@@ -76,10 +76,10 @@ class DaskWorkers(JobExecutor):
 
     def submit(self, fn: Callable[_P, _T], /, *args: _P.args, **kwargs: _P.kwargs) -> Future[_T]:
         given = self._jobs.submit(_carry_out, digest(self._facts), self._store, threads_per_worker(1), fn, args, kwargs)
-        found: Future[_T] = Future()
-        self._waiting.add(found)
-        given.add_done_callback(lambda given: self._hand_on(given, found))
-        return found
+        future: Future[_T] = Future()
+        self._waiting.add(future)
+        given.add_done_callback(lambda given: self._hand_on(given, future))
+        return future
 
     def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
         self._closed.set()
@@ -93,18 +93,18 @@ class DaskWorkers(JobExecutor):
     def _present(self) -> Mapping[str, Any]:
         return self._client.scheduler_info(n_workers=-1)["workers"]
 
-    def _hand_on(self, given: Future[_T], found: Future[_T]) -> None:
-        self._waiting.discard(found)
-        if found.done():
+    def _hand_on(self, given: Future[_T], future: Future[_T]) -> None:
+        self._waiting.discard(future)
+        if future.done():
             return
         if given.cancelled():
-            found.set_exception(WorkersLost(f"{self._said}: the scheduler is gone"))
+            future.set_exception(WorkersLost(f"{self._said}: the scheduler is gone"))
         elif isinstance(error := given.exception(), KilledWorker):
-            found.set_exception(WorkerDied(f"each worker that took it died: killed, or out of memory ({self._said})"))
+            future.set_exception(WorkerDied(f"each worker that took it died: killed, or out of memory ({self._said})"))
         elif error is not None:
-            found.set_exception(error)
+            future.set_exception(error)
         else:
-            found.set_result(given.result())
+            future.set_result(given.result())
 
     def _watch(self) -> None:
         """Dask waits for workers for ever."""
@@ -113,9 +113,9 @@ class DaskWorkers(JobExecutor):
             self._n_workers = len(self._present())
             away = 0.0 if self._n_workers else away + _LOOK
             if away >= _LOST:
-                for found in list(self._waiting):
-                    if not found.done():
-                        found.set_exception(WorkersLost(f"{self._said}: no worker for {_LOST:.0f} s"))
+                for future in list(self._waiting):
+                    if not future.done():
+                        future.set_exception(WorkersLost(f"{self._said}: no worker for {_LOST:.0f} s"))
 
     def _same_everywhere(self, store: Path, files: Sequence[Path]) -> dict[str, str]:
         """What a result depends on beside its input. Raises InputError where a worker differs, or sees other files."""
@@ -159,7 +159,7 @@ def _facts(store: Path) -> dict[str, str]:
     facts, libraries = {}, {"distributed"}
     for stage in all_stages().values():
         fingerprint = own_code(store).fingerprint(stage.function.__module__, stage.name)
-        facts |= {f"code, {name}": found for name, found in fingerprint.items()}
+        facts |= {f"code, {name}": unit_digest for name, unit_digest in fingerprint.items()}
         libraries |= set(stage.libraries)
     facts |= {f"library, {name}": ".".join(version(name).split(".")[:2]) for name in sorted(libraries)}
     return facts | {"library, python": f"{sys.version_info.major}.{sys.version_info.minor}"}

@@ -27,9 +27,9 @@ def place(on: str) -> Place:
     """Raises InputError."""
     if on.isascii() and on.isdigit() and len(on) < 9 and 1 <= int(on) <= MOST_WORKERS:
         return Place(int(on))
-    found = _ADDRESS.fullmatch(on)
-    if found and 0 < int(found["port"]) < 65536:
-        return Place(0, f"{found['host']}:{found['port']}")
+    match = _ADDRESS.fullmatch(on)
+    if match and 0 < int(match["port"]) < 65536:
+        return Place(0, f"{match['host']}:{match['port']}")
     raise InputError(f"--on {on}: allowed is a number of worker processes, 1 to {MOST_WORKERS}, or dask://host:port")
 
 

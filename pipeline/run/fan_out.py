@@ -100,11 +100,11 @@ def portable(overrides: Iterable[str]) -> tuple[str, ...]:
 
 def files_of(jobs: Sequence[Job], robots: Sequence[RobotDescription]) -> set[Path]:
     """What workers read beside the store."""
-    found = {Path(job.robot.rpartition(":")[0] if is_unit(job.robot) else job.robot) for job in jobs}
+    files = {Path(job.robot.rpartition(":")[0] if is_unit(job.robot) else job.robot) for job in jobs}
     for robot in robots:
         measure = robot.measure
-        found |= {f for f in (robot.urdf, measure.table, measure.streams, measure.commands) if f is not None}
-    return found
+        files |= {f for f in (robot.urdf, measure.table, measure.streams, measure.commands) if f is not None}
+    return files
 
 
 def run_of(job: Job, observe: Callable[[Event], None] = lambda event: None) -> Run:
@@ -212,10 +212,10 @@ def _outcome(future: Future[Outcome]) -> Outcome | Failure:
 
 
 def _all_after(k: int, unblocks: Mapping[int, Iterable[int]]) -> list[int]:
-    found, queue = {k: None}, [k]
+    reached, queue = {k: None}, [k]
     while queue:
         for other in unblocks.get(queue.pop(), ()):
-            if other not in found:
-                found[other] = None
+            if other not in reached:
+                reached[other] = None
                 queue.append(other)
-    return sorted(found)
+    return sorted(reached)

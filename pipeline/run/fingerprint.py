@@ -43,14 +43,14 @@ class Code:
 
     def _fingerprint(self, module: str, function: str) -> dict[str, str]:
         digest, imports = self._of(module, whole=False)[function]
-        found = {f"{module}:{function}": digest}
+        units = {f"{module}:{function}": digest}
         queue = list(imports)
         while queue:
             name = queue.pop()
-            if name not in found:
-                found[name], imports = self._of(name, whole=True)[_WHOLE]
+            if name not in units:
+                units[name], imports = self._of(name, whole=True)[_WHOLE]
                 queue += imports
-        return {name: digest for name, digest in sorted(found.items()) if digest != _NO_CODE}
+        return {name: digest for name, digest in sorted(units.items()) if digest != _NO_CODE}
 
     def edited(self, module: str, function: str) -> str | None:
         """A module that the function names and that was edited after it had been digested: other code may have run.
@@ -127,7 +127,7 @@ def _by_name(source: bytes, root: Path) -> Facts:
 
 def _touched(statement: ast.stmt) -> set[str]:
     """The names that a statement binds, changes or may change: X = .., X["a"] = .., X += .., X.append(..)."""
-    found: set[str] = set()
+    names: set[str] = set()
     for node in ast.walk(statement):
         if isinstance(node, ast.Assign):
             targets: list[ast.AST] = list(node.targets)
@@ -139,30 +139,30 @@ def _touched(statement: ast.stmt) -> set[str]:
             targets = [node]
         else:
             targets = []
-        found |= {n.id for target in targets for n in ast.walk(target) if isinstance(n, ast.Name)}
+        names |= {n.id for target in targets for n in ast.walk(target) if isinstance(n, ast.Name)}
         if isinstance(node, (ast.Import, ast.ImportFrom)):
-            found |= {alias.asname or alias.name.partition(".")[0] for alias in node.names}
+            names |= {alias.asname or alias.name.partition(".")[0] for alias in node.names}
         elif isinstance(node, (ast.FunctionDef, ast.AsyncFunctionDef, ast.ClassDef)):
-            found.add(node.name)
-    return found
+            names.add(node.name)
+    return names
 
 
 def _globals(node: ast.AST, scope: symtable.SymbolTable | None) -> list[str]:
     """The module-level names that a definition uses: Python's own scoping for bodies, every name elsewhere."""
     if scope is None:
         return _names(node)
-    found, scopes = [], [scope]
+    names, scopes = [], [scope]
     while scopes:
         table = scopes.pop()
-        found += [s.get_name() for s in table.get_symbols() if s.is_global()]
+        names += [s.get_name() for s in table.get_symbols() if s.is_global()]
         scopes += table.get_children()
     # Annotations, defaults, decorators and bases are evaluated outside the body.
     for inner in ast.walk(node):
         parts = [getattr(inner, "annotation", None), getattr(inner, "returns", None)]
         parts += [*getattr(inner, "decorator_list", []), *getattr(inner, "bases", [])]
         parts += [*getattr(inner, "defaults", []), *getattr(inner, "kw_defaults", [])]
-        found += [n.id for part in parts if part is not None for n in ast.walk(part) if isinstance(n, ast.Name)]
-    return found
+        names += [n.id for part in parts if part is not None for n in ast.walk(part) if isinstance(n, ast.Name)]
+    return names
 
 
 def _names(node: ast.AST) -> list[str]:
@@ -190,7 +190,7 @@ def _parsed(source: bytes) -> ast.Module:
 
 def _modules(node: ast.AST, root: Path) -> list[str]:
     """The project's modules that anything below `node` imports, their packages included: importing one runs those."""
-    found: set[str] = set()
+    modules: set[str] = set()
     for statement in ast.walk(node):
         names: Iterable[str] = ()
         if isinstance(statement, ast.ImportFrom) and statement.module and statement.level == 0:
@@ -201,8 +201,8 @@ def _modules(node: ast.AST, root: Path) -> list[str]:
         for name in names:
             parts = name.split(".")
             if parts[0] in PACKAGES:
-                found.update(".".join(parts[:k]) for k in range(1, len(parts) + 1))
-    return sorted(found)
+                modules.update(".".join(parts[:k]) for k in range(1, len(parts) + 1))
+    return sorted(modules)
 
 
 def _file(module: str, root: Path) -> Path | None:

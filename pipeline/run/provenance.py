@@ -29,10 +29,10 @@ def provenance(entries: Mapping[str, Entry], stages: Iterable[str], command: str
 
 def versions(entries: Iterable[Entry] = (), libraries: Iterable[str] = ()) -> dict[str, str]:
     """Of kincal, Python, the libraries that these artifacts were made with, and these libraries."""
-    found = {name: version(name) for name in libraries}
+    by_name = {name: version(name) for name in libraries}
     for entry in entries:
-        found |= entry.manifest["provenance"]["versions"]
-    return {"kincal": version("kincal"), "python": platform.python_version()} | dict(sorted(found.items()))
+        by_name |= entry.manifest["provenance"]["versions"]
+    return {"kincal": version("kincal"), "python": platform.python_version()} | dict(sorted(by_name.items()))
 
 
 def made_of(entries: Mapping[str, Entry], *stages: str) -> str:
@@ -43,6 +43,6 @@ def made_of(entries: Mapping[str, Entry], *stages: str) -> str:
 def published(html: str, entries: Mapping[str, Entry]) -> bytes:
     """The report page for people, with its provenance at the end; the command is that which made the report."""
     made = entries["report"].manifest["provenance"]["command"]
-    said = json.dumps(provenance(entries, ["report"], made), indent=1)
-    footer = f"<footer><details><summary>Provenance</summary><pre>{escape(said)}</pre></details></footer>\n</body>"
+    text = json.dumps(provenance(entries, ["report"], made), indent=1)
+    footer = f"<footer><details><summary>Provenance</summary><pre>{escape(text)}</pre></details></footer>\n</body>"
     return footer.join(html.rsplit("</body>", 1)).encode()

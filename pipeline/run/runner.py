@@ -118,8 +118,8 @@ class Run:
         inputs = {name: self._value(all_stages()[source]) for name, source in stage.inputs.items()}
         with self.store.lock(stage.name, key):
             began = time.perf_counter()
-            found = None if forced else self._find(stage, key)  # another run may have made it meanwhile
-            if found is None:
+            entry = None if forced else self._find(stage, key)  # another run may have made it meanwhile
+            if entry is None:
                 try:
                     with fixed_threads(stage.libraries):
                         value = stage.call(inputs | {name: self._setting(name) for name in stage.settings})
@@ -136,10 +136,10 @@ class Run:
                     "seconds": round(seconds, 3),
                     "versions": {name: version(name) for name in stage.libraries},
                 }
-                found = self.store.save(
+                entry = self.store.save(
                     stage.name, key, value, {"parts": parts, "provenance": provenance}, replace=forced
                 )
-        self.entries[stage.name] = found
+        self.entries[stage.name] = entry
         self.store.remember(self.robot_id, stage.name, key)
         self.observe(Event(stage.name, "ran", why, time.perf_counter() - began))
 

@@ -73,8 +73,8 @@ def all_stages() -> dict[str, Stage]:
 def version(library: str) -> str:
     """Of an installed library. Its metadata are long: parsing them all takes longer than the rest of a cached run."""
     text = metadata.distribution(library).read_text("METADATA") or ""
-    found = next((line for line in text.splitlines() if line.startswith("Version:")), None)
-    return found.partition(":")[2].strip() if found else metadata.version(library)
+    line_of_version = next((line for line in text.splitlines() if line.startswith("Version:")), None)
+    return line_of_version.partition(":")[2].strip() if line_of_version else metadata.version(library)
 
 
 def needed(until: str) -> list[Stage]:

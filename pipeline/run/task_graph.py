@@ -67,11 +67,11 @@ def shared_tasks(jobs: Sequence[Job], prefixes: Sequence[Prefix]) -> tuple[list[
 
 def prefix_of(until: str, robot: RobotDescription) -> Prefix:
     """Of a job that goes as far as `until`."""
-    found: Prefix = {}
+    prefix: Prefix = {}
     for stage in needed(until):
         settings = {name: to_jsonable_python(getattr(robot, name), by_alias=True) for name in stage.settings}
-        found[stage.name] = digest([stage.name, settings, [found[source] for source in stage.inputs.values()]])
-    return found
+        prefix[stage.name] = digest([stage.name, settings, [prefix[source] for source in stage.inputs.values()]])
+    return prefix
 
 
 @lru_cache
@@ -97,9 +97,9 @@ class Ahead:
 
     def task(self, k: int) -> Task | None:
         """The most of job k's own stages that rest on nothing that is still to be made elsewhere."""
-        prefix, found = self._prefixes[k], (0, "")
+        prefix, farthest = self._prefixes[k], (0, "")
         for name in prefix:
             lacking = {prefix[stage.name] for stage in needed(name)} - self._made
             if not lacking & self._shared:
-                found = max(found, (len(lacking), name))
-        return Task(replace(self._jobs[k], until=found[1]), (k,), final=False) if found[0] else None
+                farthest = max(farthest, (len(lacking), name))
+        return Task(replace(self._jobs[k], until=farthest[1]), (k,), final=False) if farthest[0] else None

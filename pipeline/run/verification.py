@@ -56,11 +56,11 @@ class Verified:
 
     @property
     def problems(self) -> list[str]:
-        found = [f"{c.stage}: {problem}" for c in self.stages for problem in c.problems]
+        problems = [f"{c.stage}: {problem}" for c in self.stages for problem in c.problems]
         if self.derived is not None and not self.derived.agrees:
             by = f"by {self.derived.largest:.3g} of its size"
-            found.append(f"comparison: what follows from the stored inputs differs in {self.derived.where} {by}")
-        return [*found, *self.others]
+            problems.append(f"comparison: what follows from the stored inputs differs in {self.derived.where} {by}")
+        return [*problems, *self.others]
 
     def json(self) -> dict[str, Any]:
         """The document of `verify --json`."""
@@ -82,11 +82,11 @@ class Verified:
 
 def _stage_json(checked: Checked) -> dict[str, Any]:
     manifest = checked.entry.manifest if checked.entry else {}
-    found = {"stage": checked.stage, "key": manifest.get("key"), "digest": checked.entry and checked.entry.digest}
+    document = {"stage": checked.stage, "key": manifest.get("key"), "digest": checked.entry and checked.entry.digest}
     provenance = {
         name: manifest.get("provenance", {}).get(name) for name in ("made", "command", "versions", "accepted")
     }
-    return found | provenance | {"problems": list(checked.problems)}
+    return document | provenance | {"problems": list(checked.problems)}
 
 
 def verify(session: Run) -> Verified:
@@ -130,10 +130,10 @@ def _problems(store: Store, stage: str, entry: Entry, before: Mapping[str, Check
     if digest(parts) != entry.manifest["key"]:
         yield "its key is not that of what it was made of"
     for source, expected in parts["inputs"].items():
-        found = before[source].entry if source in before else None
-        if found is not None and found.digest != expected:
+        source_entry = before[source].entry if source in before else None
+        if source_entry is not None and source_entry.digest != expected:
             yield f"rests on another {source} than the robot used last"
-        elif found is None:
+        elif source_entry is None:
             yield f"{source}, on which it rests, is gone or damaged"
 
 
@@ -171,12 +171,12 @@ def _derived(session: Run, entries: Mapping[str, Entry]) -> Derived:
     }
     for name in stage.settings:
         given[name] = TypeAdapter(hints[name]).validate_json(json.dumps(stored.manifest["parts"]["settings"][name]))
-    found, before = encode(stage.call(given)), session.store.files(stored)
+    derived, before = encode(stage.call(given)), session.store.files(stored)
     code = session.code.fingerprint(stage.function.__module__, stage.name)
     changed = code != stored.manifest["parts"]["code"]
-    if found == before:
+    if derived == before:
         return Derived(True, 0.0, "", changed)
-    differences = _differences(json.loads(before["value.json"]), json.loads(found["value.json"]), "")
+    differences = _differences(json.loads(before["value.json"]), json.loads(derived["value.json"]), "")
     largest, where = max(differences, default=(0.0, ""))
     return Derived(False, largest, where, changed)
 

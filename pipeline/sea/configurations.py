@@ -43,8 +43,8 @@ def configurations(platform: Platform, readings: np.ndarray, test: np.ndarray) -
     for name, method in platform.methods.items():
         tried = attempt(method, desired, model.chain, model.actuators, channels)
         rows = np.flatnonzero(tried.good(model.chain, platform.description.workspace))
-        for found, load in ((errors, STANDING), (tilted, force[rows])):
-            there = platform.poses(tried.readings[rows], load)
-            found[name] = np.full((len(readings), 3), np.nan)
-            found[name][rows] = deck_error(desired.rotation[rows], there, platform.full)
+        for errors_there, load in ((errors, STANDING), (tilted, force[rows])):
+            poses = platform.poses(tried.readings[rows], load)
+            errors_there[name] = np.full((len(readings), 3), np.nan)
+            errors_there[name][rows] = deck_error(desired.rotation[rows], poses, platform.full)
     return Configurations(desired.rotation, test, errors, tilted)

@@ -41,8 +41,8 @@ def read_rao(file: Path, speed: float) -> RaoTable:
     else:
         frequency, direction, speeds, values = _own(file)
     if len(speeds) > 1 and not speeds.min() - 1e-6 <= speed <= speeds.max() + 1e-6:
-        found = f"{speeds.min() / knot:.3g} to {speeds.max() / knot:.3g} knots"
-        raise InputError(f"{file}: speed_knots = {speed / knot:.3g}: the table has {found}")
+        speed_range = f"{speeds.min() / knot:.3g} to {speeds.max() / knot:.3g} knots"
+        raise InputError(f"{file}: speed_knots = {speed / knot:.3g}: the table has {speed_range}")
     direction, values = _around(direction, values[np.abs(speeds - speed).argmin()], file)
     return RaoTable(frequency, direction, values)
 

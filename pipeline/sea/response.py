@@ -38,8 +38,8 @@ def response_spectra(sea: Seaway, rao: Rao) -> list[DirectionalBinSpectrum]:
     frequency, direction = waves.freq(freq_hz=False), waves.dirs(degrees=False)
     values = np.moveaxis(rao.response(frequency[:, None], direction[None, :], sea.speed), 2, 0)
     raos = [RAO(frequency, direction, mode, **CONVENTION) for mode in values]
-    found = [calculate_response(mode, waves, 0.0, reshape="rao") for mode in raos]  # "rao": the grids are the same
-    return cast("list[DirectionalBinSpectrum]", found)
+    spectra = [calculate_response(mode, waves, 0.0, reshape="rao") for mode in raos]  # "rao": the grids are the same
+    return cast("list[DirectionalBinSpectrum]", spectra)
 
 
 def expected_std(sea: Seaway, rao: Rao) -> np.ndarray:

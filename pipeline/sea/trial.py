@@ -123,9 +123,9 @@ class Platform:
                 f"{name}: its tool can't turn about x and y: [workspace] rotation_deg has not both of them"
             )
         if "tilt" not in parts(self.channels):
-            found = ", ".join(self.channels)
+            measured = ", ".join(self.channels)
             raise InputError(
-                f"{name}: measured are {found}; a sea trial needs tilt or orientation to have been measured"
+                f"{name}: measured are {measured}; a sea trial needs tilt or orientation to have been measured"
             )
 
     @cached_property
@@ -143,15 +143,15 @@ class Platform:
 
         Of a tool with two axes to turn about, the deck's normal is what is asked for: its heading follows the robot.
         """
-        found = []
+        parts = []
         for first in range(0, len(rotation), _AT_ONCE):
             wanted = rotation[first : first + _AT_ONCE]
             tried = self._attempt(method, wanted)
             for _ in range(0 if self.turns else _NORMAL):
                 predicted = method.predict(tried.readings).rotation
                 tried = self._attempt(method, _upright(predicted, wanted))
-            found.append((tried.readings, tried.good(self.model.chain, self.description.workspace)))
-        readings, good = (np.concatenate(part) for part in zip(*found, strict=True))
+            parts.append((tried.readings, tried.good(self.model.chain, self.description.workspace)))
+        readings, good = (np.concatenate(part) for part in zip(*parts, strict=True))
         if good.mean() < _LEAST_REACHED:
             raise InputError(
                 f"{self.description.name}: {len(good) - good.sum()} of {len(good)} required attitudes are outside of "
@@ -162,13 +162,13 @@ class Platform:
 
     def poses(self, readings: np.ndarray, force: np.ndarray) -> np.ndarray:
         """(n, 3, 3) true orientations on board, under a specific force (3,) or (n, 3) [m/s2] in the ship's axes."""
-        found, all_rows = [], self.actual.after_campaign(readings)
+        poses, all_rows = [], self.actual.after_campaign(readings)
         force = np.broadcast_to(force, (len(readings), 3))
         for first in range(0, len(readings), _AT_ONCE):
             rows = slice(first, first + _AT_ONCE)
             now = Circumstances(all_rows.approach[rows], all_rows.warmth[rows])
-            found.append(self.actual.pose(readings[rows], now, force[rows]).rotation)
-        return np.concatenate(found)
+            poses.append(self.actual.pose(readings[rows], now, force[rows]).rotation)
+        return np.concatenate(poses)
 
     def _attempt(self, method: Method, rotation: np.ndarray) -> Attempt:
         desired = Motion(rotation, np.broadcast_to(self.home.translation, (len(rotation), 3)))
@@ -199,8 +199,8 @@ class _AtControlRate:
 
     def command(self, desired: Motion, channels: tuple[str, ...] = WHOLE) -> tuple[np.ndarray, np.ndarray]:
         """By the channels that the compensator was made for."""
-        found = self.compensator.commands(desired)
-        return found.readings, found.reached
+        commands = self.compensator.commands(desired)
+        return commands.readings, commands.reached
 
 
 def _upright(rotation: np.ndarray, wanted: np.ndarray) -> np.ndarray:
@@ -230,9 +230,9 @@ def sea_trial(platform: Platform, motion: ShipMotion, rate_hz: float, settings: 
     for name, method in platform.methods.items():
         readings, good = platform.commands(method, asked)
         decks[name] = platform.poses(control.followed(readings), sea.force)
-        ideal, found = platform.commands(method, sea.level[few])
+        ideal, reachable = platform.commands(method, sea.level[few])
         in_port = sea[few].error(platform.poses(ideal, STANDING))
-        in_port[~found] = np.nan
+        in_port[~reachable] = np.nan
         sailed.append(Sailed(name, sea.error(decks[name]), in_port, int(np.sum(~good))))
     alone = {"filter": sea[few].error(levelling(estimate.roll_pitch_yaw[at], yaw)[few])}
     known = control.asked(motion.angles, motion.angular_rate, yaw)[at]
@@ -329,5 +329,5 @@ def _watched(
     lifted = motion.acceleration_at(settings.lever_m)[at] + STANDING
     force = np.einsum("nji,nj->ni", rotation, lifted)
     samples = sensed(force, rate, rate_hz, sensor, [settings.seed, 31]).samples
-    found = smooth_attitude(motion.t[at], samples, AttitudeSettings(sensor=sensor), "the deck's sensor")
-    return Watched(name, found.roll_pitch_yaw[:, :2], zyx_angles(rotation)[:, :0:-1])
+    attitude = smooth_attitude(motion.t[at], samples, AttitudeSettings(sensor=sensor), "the deck's sensor")
+    return Watched(name, attitude.roll_pitch_yaw[:, :2], zyx_angles(rotation)[:, :0:-1])

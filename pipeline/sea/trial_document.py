@@ -92,13 +92,13 @@ def indices(error: np.ndarray, full: bool) -> dict[str, Any]:
     if not len(known):
         return {key: dict.fromkeys(AXES) for key in _PLACES.values()}
     columns = np.column_stack([np.abs(known), np.linalg.norm(known, axis=1)])
-    found = {}
+    by_axis = {}
     for how, key in _PLACES.items():
         values = {"mean": columns.mean, "max": columns.max, "sd": columns.std}[how](axis=0)
-        found[key] = dict(zip(AXES, values.tolist(), strict=True))
+        by_axis[key] = dict(zip(AXES, values.tolist(), strict=True))
         if not full:
-            found[key]["z"] = None
-    return found
+            by_axis[key]["z"] = None
+    return by_axis
 
 
 def _tilt(angles: np.ndarray) -> np.ndarray:
@@ -123,11 +123,11 @@ def _budget(trial: SeaTrial) -> list[dict[str, Any]]:
     }
     if not trial.settings.lead:
         del rows["delay and actuators, looked ahead"]
-    found = []
+    budget = []
     for name, error in rows.items():
         size = np.rad2deg(np.linalg.norm(error, axis=1))
         size = size[np.isfinite(size)]
-        found.append(
+        budget.append(
             {
                 "part": name,
                 "mean_deg": float(size.mean()),
@@ -135,7 +135,7 @@ def _budget(trial: SeaTrial) -> list[dict[str, Any]]:
                 "max_deg": float(size.max()),
             }
         )
-    return found
+    return budget
 
 
 def series(trial: SeaTrial) -> pd.DataFrame:
@@ -162,9 +162,9 @@ def _word(name: str) -> str:
     return name.replace(", ", "_").replace(" ", "_")
 
 
-def summary(found: dict[str, Any]) -> list[tuple[str, Table]]:
+def summary(document: dict[str, Any]) -> list[tuple[str, Table]]:
     """For the terminal: the deck by method, what it is made of, and the paper's table 4 beside ours."""
-    calibration = {row["method"]: row for row in found["calibration"]}
+    calibration = {row["method"]: row for row in document["calibration"]}
     decks = [
         (
             row["method"],
@@ -173,23 +173,23 @@ def summary(found: dict[str, Any]) -> list[tuple[str, Table]]:
             degrees(calibration[row["method"]]["mean_deg"]["volumetric"]),
             str(row["not_reached"] or ""),
         )
-        for row in found["deck_error"]
+        for row in document["deck_error"]
     ]
     parts = [
-        (row["part"], *(degrees(row[key]) for key in ("mean_deg", "rms_deg", "max_deg"))) for row in found["budget"]
+        (row["part"], *(degrees(row[key]) for key in ("mean_deg", "rms_deg", "max_deg"))) for row in document["budget"]
     ]
     rows = []
-    for row in found["configurations"]["rows"]:
+    for row in document["configurations"]["rows"]:
         cells: list[str] = [row["method"]]
         for how, key in _PLACES.items():
             printed = row["paper"]
             cells += [degrees(row[key]["volumetric"]), f"{printed[how][3]:.3f}" if printed else ""]
         rows.append((*cells, degrees(row["tilted"]["mean_deg"]["volumetric"])))
-    share = "of it calibration" if found["scored"] == "orientation" else "of it calibration (tilt)"
+    share = "of it calibration" if document["scored"] == "orientation" else "of it calibration (tilt)"
     columns = ("method", "mean", "max", "SD", "x", "y", "z", share, "out of reach")
-    n = found["configurations"]["testing"]
+    n = document["configurations"]["testing"]
     return [
-        (f"deck error [deg] over {found['motion']['seconds']:g} s at sea", Table(columns, tuple(decks))),
+        (f"deck error [deg] over {document['motion']['seconds']:g} s at sea", Table(columns, tuple(decks))),
         ("what it is made of, each part alone [deg]", Table(("part", "mean", "rms", "max"), tuple(parts))),
         (
             f"table 4: {n} testing configurations, compensated one by one [deg]",

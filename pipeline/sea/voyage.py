@@ -45,7 +45,7 @@ def sail(session: Run, sea: Seaway, settings: Trial, log: Path | None, command: 
     """The trial of a calibrated robot, in a seaway or on a recorded motion. Raises InputError."""
     if sea.minutes > MOST_MINUTES:
         raise InputError(f"--minutes {sea.minutes:g}: allowed are at most {MOST_MINUTES:g}")
-    motion, said = _replay(log, sea) if log else _seaway(sea)
+    motion, sentence = _replay(log, sea) if log else _seaway(sea)
     model, measured, filtered, identified, transferred, hybrids = session.until(
         "model", "measure", "filter", "identify", "transfer", "correct"
     )
@@ -65,7 +65,7 @@ def sail(session: Run, sea: Seaway, settings: Trial, log: Path | None, command: 
     poses = configurations(platforms[1], readings, identified.held_out.test)
     sources = {name: session.entries[name].digest for name in ("measure", "identify", "transfer", "correct")}
     provenance = {"version": version("kincal"), "command": command, "inputs": sources}
-    return Found(trial, poses, document(trial, poses, {"said": said, **_sea_of(sea, log)}, provenance))
+    return Found(trial, poses, document(trial, poses, {"said": sentence, **_sea_of(sea, log)}, provenance))
 
 
 def _seaway(sea: Seaway) -> tuple[ShipMotion, str]:
@@ -96,26 +96,26 @@ def _sea_of(sea: Seaway, log: Path | None) -> dict[str, Any]:
     return {"log": str(log)} if log else {"seaway": sea.model_dump(mode="json")}
 
 
-def write(found: Found, folder: Path) -> Path:
+def write(results: Found, folder: Path) -> Path:
     """index.html, results.json, series.parquet and the figures; the page last. Returns the page. Raises InputError."""
     from markupsafe import Markup
 
     from kincal.pipeline.report.figures import inline
     from kincal.pipeline.sea.trial_figures import figures
 
-    drawn = figures(found.trial, found.poses)
+    drawn = figures(results.trial, results.poses)
     page = environment(Path(__file__).parent / "templates")
     page.filters["degrees"] = degrees
     html = page.get_template("voyage.html").render(
-        document=found.document,
+        document=results.document,
         axes=AXES,
         start=START_S,
         figures={name: Markup(inline(svg, name)) for name, svg in drawn.items()},
     )
     files = {
         **{f"{name}.svg": svg.encode() for name, svg in drawn.items()},
-        "series.parquet": series(found.trial).to_parquet(index=False),
-        "results.json": (json.dumps(found.document, indent=1, allow_nan=False) + "\n").encode(),
+        "series.parquet": series(results.trial).to_parquet(index=False),
+        "results.json": (json.dumps(results.document, indent=1, allow_nan=False) + "\n").encode(),
         "index.html": html.encode(),
     }
     replace_files(folder, files, str(folder))

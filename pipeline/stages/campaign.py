@@ -79,11 +79,11 @@ def filter(measured: Measured, filter: Filter, sensor: Sensor) -> Filtered:
     from kincal.identification.inclinometer import filter_stream
 
     table = measured.table
-    found = filter_stream(measured.stream, table["pose"].to_numpy(), sensor, filter, f"stream ({measured.source})")
-    used, gated = (int(found.rows[name].to_numpy().sum()) for name in ("used", "gated"))
-    rows = found.rows.drop(columns=["used", "gated"])
+    attitudes = filter_stream(measured.stream, table["pose"].to_numpy(), sensor, filter, f"stream ({measured.source})")
+    used, gated = (int(attitudes.rows[name].to_numpy().sum()) for name in ("used", "gated"))
+    rows = attitudes.rows.drop(columns=["used", "gated"])
     table = table.merge(rows, on="pose", validate="1:1")
-    return Filtered(table, used, gated, found.dropped, found.innovations, found.yaw_stuck)
+    return Filtered(table, used, gated, attitudes.dropped, attitudes.innovations, attitudes.yaw_stuck)
 
 
 def _from_files(chain: ClosedChain, nominal: ErrorModel, measure: Measure, tolerance: Tolerance) -> Measured:
@@ -94,9 +94,9 @@ def _from_files(chain: ClosedChain, nominal: ErrorModel, measure: Measure, toler
     from kincal.identification.streams.static_poses import static_poses
 
     if measure.commands is not None:
-        found = static_poses(measure, chain.actuated_names)
-        check_readings(found.table, chain, nominal.actuators, tolerance, measure.commands)
-        return Measured(found.campaign.health.file, found.table, found.stream, None, found.campaign)
+        poses = static_poses(measure, chain.actuated_names)
+        check_readings(poses.table, chain, nominal.actuators, tolerance, measure.commands)
+        return Measured(poses.campaign.health.file, poses.table, poses.stream, None, poses.campaign)
     assert measure.table is not None
     settings = measure if measure.streams is None else measure.of_columns(("pose", *chain.actuated_names))
     table = read_table(measure.table, chain.actuated_names, settings, measured=measure.streams is None)

@@ -38,11 +38,11 @@ def compensate(robot: DrawnRobot, fits: Fits, measured: Measured, evaluate: Eval
     scores, reached = [], {}
     for name, method in calibrated.methods.items():  # a network that has seen few poses may have no answer for some
         tried = attempt(method, desired, errors.chain, errors.actuators, channels)
-        there = virtual.close(tried.readings, virtual.after_campaign(tried.readings))
-        rows = np.flatnonzero(tried.good(errors.chain, robot.model.mechanism.workspace) & there.closed)
+        closure_there = virtual.close(tried.readings, virtual.after_campaign(tried.readings))
+        rows = np.flatnonzero(tried.good(errors.chain, robot.model.mechanism.workspace) & closure_there.closed)
         reached[name] = len(rows)
         if len(rows):
-            pose = virtual.robot.measured(there.pose)
+            pose = virtual.robot.measured(closure_there.pose)
             scores.append(method_score(name, pose[rows], desired[rows], channels))
     return Compensated(len(u), reached, tuple(scores))
 

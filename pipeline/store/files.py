@@ -29,21 +29,21 @@ def replace_file(file: Path, content: bytes, aside: Path | None = None) -> None:
         temporary.unlink(missing_ok=True)
 
 
-def replace_files(folder: Path, files: Mapping[str, bytes], what: str) -> None:
-    """Each replaced at once, in this order; the folder is made. Raises InputError, which names `what`."""
-    with refusing(what):
+def replace_files(folder: Path, files: Mapping[str, bytes], name_of_target: str) -> None:
+    """Each replaced at once, in this order; the folder is made. Raises InputError, which names `name_of_target`."""
+    with refusing(name_of_target):
         folder.mkdir(parents=True, exist_ok=True)
         for name, content in files.items():
             replace_file(folder / name, content)
 
 
 @contextmanager
-def refusing(what: str) -> Iterator[None]:
-    """An OSError becomes the InputError "`what`: can't be written: why"."""
+def refusing(target: str) -> Iterator[None]:
+    """An OSError becomes the InputError "`target`: can't be written: why"."""
     try:
         yield
     except OSError as error:
-        raise InputError(f"{what}: can't be written: {error.strerror or error}") from None
+        raise InputError(f"{target}: can't be written: {error.strerror or error}") from None
 
 
 def output_folder(output: Path | None, default: Path) -> Path:

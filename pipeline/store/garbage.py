@@ -60,31 +60,31 @@ def garbage(store: Store, *, unfinished: bool = False, gone: bool = False, keep_
     artifacts = [folder for stage in _listed(store.root / "artifacts") for folder in _listed(stage, _KEY)]
     roots = _roots(store, without_gone=gone)
     named = roots.named | (set() if unfinished else roots.unfinished)
-    found = []
+    removable = []
     for folder in artifacts:
         name = (folder.parent.name, folder.name)
         if name not in named and folder.parent.name not in roots.kept:
-            found.append(_removable("artifact", folder))
+            removable.append(_removable("artifact", folder))
     if "measure" not in roots.kept:
-        found += [_removable("table", file) for file in _unused_tables(store, named)]
+        removable += [_removable("table", file) for file in _unused_tables(store, named)]
     for robot in _listed(store.root / "robots"):
         if robot in roots.gone and gone:
-            found.append(_removable("robot", robot))
+            removable.append(_removable("robot", robot))
         elif unfinished and (robot / UNFINISHED).is_dir():
-            found.append(_removable("unfinished", robot / UNFINISHED))
+            removable.append(_removable("unfinished", robot / UNFINISHED))
     if not keep_damaged:
-        found += [_removable("damaged", folder) for folder in _listed(store.root / "damaged", _DAMAGED)]
+        removable += [_removable("damaged", folder) for folder in _listed(store.root / "damaged", _DAMAGED)]
     leftovers = _listed(store.root / "tmp", _TEMPORARY)
-    found += [_removable("leftover", folder) for folder in leftovers if _abandoned(folder)]
-    found += [_removable("lock", file) for file in _listed(store.root / "locks", _LOCK)]
-    return Garbage(tuple(found), roots)
+    removable += [_removable("leftover", folder) for folder in leftovers if _abandoned(folder)]
+    removable += [_removable("lock", file) for file in _listed(store.root / "locks", _LOCK)]
+    return Garbage(tuple(removable), roots)
 
 
-def free(store: Store, found: Collection[Removable]) -> list[Removable]:
+def free(store: Store, removable: Collection[Removable]) -> list[Removable]:
     """Free what `garbage` found; what was freed. Raises InputError where the store can't be written."""
     freed = []
     with store.writing():
-        for one in found:
+        for one in removable:
             if one.kind == "lock":
                 done = _unlocked(one.path)
             elif one.kind in ("leftover", "table"):

@@ -69,8 +69,8 @@ def _well_formed(manifest: Mapping[str, Any]) -> bool:
         isinstance(files, dict)
         and isinstance(manifest.get("parts", {}), dict)
         and all(
-            name == Path(name).name and isinstance(said, dict) and {"bytes", "sha256"} <= set(said)
-            for name, said in files.items()
+            name == Path(name).name and isinstance(sealed, dict) and {"bytes", "sha256"} <= set(sealed)
+            for name, sealed in files.items()
         )
     )
 

@@ -48,8 +48,8 @@ class Store:
         try:
             return decode(files, kind)
         except Exception as error:  # whole, but written by another version of the formats
-            what = f"not readable as {kind.__name__} ({type(error).__name__})"
-            raise Damaged(f"{entry.folder}: {what}", entry.folder, entry.text) from None
+            problem = f"not readable as {kind.__name__} ({type(error).__name__})"
+            raise Damaged(f"{entry.folder}: {problem}", entry.folder, entry.text) from None
 
     def files(self, entry: Entry) -> dict[str, bytes]:
         """An artifact's payload, its digests checked. Raises Damaged."""
@@ -60,8 +60,8 @@ class Store:
             except OSError as error:
                 raise Damaged(f"{entry.folder / name}: {error.strerror}", entry.folder, entry.text) from None
             if len(files[name]) != sealed["bytes"] or digest(files[name]) != sealed["sha256"]:
-                said = f"{entry.folder / name}: its content is not what was stored"
-                raise Damaged(said, entry.folder, entry.text)
+                problem = f"{entry.folder / name}: its content is not what was stored"
+                raise Damaged(problem, entry.folder, entry.text)
         return files
 
     def save(self, stage: str, key: str, value: Any, manifest: Mapping[str, Any], replace: bool = False) -> Entry:
@@ -181,8 +181,8 @@ class Store:
 
     def freed(self, stage: str, key: str) -> bool:
         """Whether the last `gc` freed the artifact of this key."""
-        found = read_json(self.root / FREED)
-        return isinstance(found, list) and f"{stage}/{key[:40]}" in found
+        names = read_json(self.root / FREED)
+        return isinstance(names, list) and f"{stage}/{key[:40]}" in names
 
     def read_memo(self) -> dict[str, Any]:
         """What was found out about source files, by their digests; empty where that file is damaged."""

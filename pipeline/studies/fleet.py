@@ -67,11 +67,11 @@ def select(robots: Sequence[str] | str | os.PathLike[str] | None) -> Selection:
     if wrong is not None:
         raise InputError(f"robots: found a {type(wrong).__name__}; allowed are names, paths, and FLEET.toml:UNIT")
     robots = [os.fspath(robot) for robot in robots]
-    found = [as_reference(robot) for robot in robots]
-    repeated = next((r for r, f in zip(robots, found, strict=True) if found.count(f) > 1), None)
+    resolved = [as_reference(robot) for robot in robots]
+    repeated = next((r for r, f in zip(robots, resolved, strict=True) if resolved.count(f) > 1), None)
     if repeated is not None:
         raise InputError(f"robot {repeated!r} stands there twice")
-    return Selection("robots", tuple(found))
+    return Selection("robots", tuple(resolved))
 
 
 def _all(source: Path | None) -> Selection:
@@ -79,10 +79,10 @@ def _all(source: Path | None) -> Selection:
     if folder.is_file():
         return Selection(folder.stem, tuple(references(folder)))
     # One that may not be looked into fails later, by a row of its own.
-    found = sorted(str(file) for part in folder.glob("*/") if not is_missing(file := part / "robot.toml"))
-    if not found:
+    robots = sorted(str(file) for part in folder.glob("*/") if not is_missing(file := part / "robot.toml"))
+    if not robots:
         raise InputError(f"--from {source}: neither a fleet file nor a folder of robots' folders, each with robot.toml")
-    return Selection(folder.name, tuple(found))
+    return Selection(folder.name, tuple(robots))
 
 
 def plan_fleet(chosen: Selection, overrides: Sequence[str], store: Path, until: str, command: str) -> Study[Member]:

@@ -43,12 +43,12 @@ def fleet_table(fleet: Fleet) -> pd.DataFrame:
 
     known, rows = _families(fleet), []
     for k, (member, outcome) in enumerate(zip(fleet.members, fleet.outcomes, strict=True)):
-        own = {"robot": member.name, "reference": member.reference}
+        columns = {"robot": member.name, "reference": member.reference}
         error = outcome.error if isinstance(outcome, Failure) else known[k].get("lost")
         if error is not None:
-            rows.append(own | {"error": str(error)})
+            rows.append(columns | {"error": str(error)})
         elif isinstance(outcome, Outcome) and outcome.comparison is not None:
-            rows += [own | row | known[k] for row in method_rows(outcome.comparison)]
+            rows += [columns | row | known[k] for row in method_rows(outcome.comparison)]
     texts = ("robot", "reference", "method", "scored_on")
     kinds = dict.fromkeys(texts, "string") | {"n_poses": "Int64"} | dict.fromkeys(METHOD_NUMBERS, "Float64") | _FAMILY
     return pd.DataFrame({name: pd.Series([r.get(name) for r in rows], dtype=kind) for name, kind in kinds.items()})
@@ -58,7 +58,7 @@ def _families(fleet: Fleet) -> dict[int, dict[str, Any]]:
     """{member: what its identification says beside the others of its design}."""
     from kincal.identification.family import memberships
 
-    found: dict[int, dict[str, Any]] = defaultdict(dict)
+    by_member: dict[int, dict[str, Any]] = defaultdict(dict)
     designs: dict[tuple[Any, ...], list[tuple[int, Identification]]] = defaultdict(list)
     for k, outcome in enumerate(fleet.outcomes):
         if isinstance(outcome, Failure):
@@ -66,13 +66,13 @@ def _families(fleet: Fleet) -> dict[int, dict[str, Any]]:
         try:
             identified = _identification(Store(fleet.members[k].job.store), outcome)
         except Damaged as damage:
-            found[k]["lost"] = CalibrationError(f"{damage}: run it again")
+            by_member[k]["lost"] = CalibrationError(f"{damage}: run it again")
             continue
         designs[identified.names, identified.tolerance.tobytes()].append((k, identified))
     for units in designs.values():
         for (k, unit), membership in zip(units, memberships([unit for _, unit in units]), strict=True):
-            found[k] = _described(unit, membership)
-    return found
+            by_member[k] = _described(unit, membership)
+    return by_member
 
 
 def _identification(store: Store, outcome: Outcome) -> Identification:
@@ -121,18 +121,18 @@ def _remark(row: Mapping[str, Any]) -> str:
     if row["error"] is not None:
         return "failed: " + " ".join(row["error"].split())
     n = 0 if row["warnings"] is None else row["warnings"].count("; ") + 1
-    said = [f"{n} warning{'s' * (n > 1)}"] if n else []
+    remarks = [f"{n} warning{'s' * (n > 1)}"] if n else []
     if row["out_of_family"] is True:
         worst = f": {row['parameter']} is {row['deviation']:+.1f} sigmas off" if row["parameter"] else ""
-        said.insert(0, f"OUT OF FAMILY{worst}")
-    return ", ".join(said)
+        remarks.insert(0, f"OUT OF FAMILY{worst}")
+    return ", ".join(remarks)
 
 
 def _by_robot(table: pd.DataFrame) -> list[list[dict[str, Any]]]:
-    found: dict[str, list[dict[str, Any]]] = defaultdict(list)
+    rows: dict[str, list[dict[str, Any]]] = defaultdict(list)
     for row in records(table):
-        found[row["reference"]].append(row)
-    return list(found.values())
+        rows[row["reference"]].append(row)
+    return list(rows.values())
 
 
 def family_lines(table: pd.DataFrame) -> list[str]:
@@ -200,13 +200,13 @@ class _Shared(dict[str, Any]):
 
 def write_table(fleet: Fleet, table: pd.DataFrame, folder: Path) -> Path:
     """fleet.parquet, with the robots' provenance; what stood there is replaced at once. Raises InputError."""
-    file, told = folder / "fleet.parquet", table.copy(deep=False)
+    file, written = folder / "fleet.parquet", table.copy(deep=False)
     # Without the command: the same results give the same bytes.
-    told.attrs["provenance"] = _Shared(
-        (name, {key: value for key, value in found.items() if key != "command"})
-        for name, found in _provenance(fleet).items()
+    written.attrs["provenance"] = _Shared(
+        (name, {key: value for key, value in document.items() if key != "command"})
+        for name, document in _provenance(fleet).items()
     )
-    replace_files(folder, {file.name: told.to_parquet(index=False)}, f"fleet table {file}")
+    replace_files(folder, {file.name: written.to_parquet(index=False)}, f"fleet table {file}")
     return file
 
 

@@ -47,24 +47,24 @@ def parse_over(text: str) -> Over:
     key = ".".join(part.strip() for part in key.split("."))
     if not equals or not key:
         raise InputError(f"--over {text}: allowed is table.key=value,value,...")
-    found: list[str] = []
+    texts: list[str] = []
     items = _split(listed, text)
     k = 0
     while k < len(items):
         if items[k] == "...":
-            found += _progression(found, items[k + 1 : k + 2], text)
+            texts += _progression(texts, items[k + 1 : k + 2], text)
             k += 2
         else:
-            found.append(items[k])
+            texts.append(items[k])
             k += 1
-    if "" in found:
+    if "" in texts:
         raise InputError(f"--over {text}: a value is missing")
-    repeated = next((item for item, n in Counter(found).items() if n > 1), None)
+    repeated = next((item for item, n in Counter(texts).items() if n > 1), None)
     if repeated is not None:
         raise InputError(f"--over {text}: {repeated} stands there twice")
-    for item in found:
+    for item in texts:
         toml_value(item)
-    return Over(key, tuple(found))
+    return Over(key, tuple(texts))
 
 
 def over_of(key: str, values: Sequence[Any]) -> Over:

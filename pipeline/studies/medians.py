@@ -27,20 +27,20 @@ def medians(sweep: Sweep) -> pd.DataFrame:
     return pd.DataFrame(columns).reset_index()
 
 
-def measured_units(found: pd.DataFrame) -> list[str]:
+def measured_units(table: pd.DataFrame) -> list[str]:
     """mean_deg, mean_mm: those that `medians` has numbers of."""
-    return [mean for mean in UNITS if any(found[mean].notna())]
+    return [mean for mean in UNITS if any(table[mean].notna())]
 
 
 def median_tables(sweep: Sweep) -> list[tuple[str, Table]]:
     """For people: one row a combination of swept values, one column a method; what was not measured has no table."""
-    found = medians(sweep)
-    methods = list(dict.fromkeys(found["method"]))
+    table = medians(sweep)
+    methods = list(dict.fromkeys(table["method"]))
     n = len(set(sweep.table["seed"][sweep.table["method"].notna()]))
     tables = []
-    for mean in measured_units(found):
+    for mean in measured_units(table):
         rows: dict[tuple[str, ...], dict[str, str]] = {}
-        for row in records(found):
+        for row in records(table):
             label = tuple(str(row[key]) for key in sweep.keys) or (sweep.robot,)
             cells = rows.setdefault(label, {"jobs": str(row["jobs"])})
             cells[row["method"]] = fixed(row[mean], _DIGITS[mean])

@@ -66,22 +66,22 @@ def plan_sweep(
         raise InputError("nothing to sweep: give --over table.key=value,value,... or --seeds of 2 or more")
     points = []
     for places in combinations(overs):
-        own = tuple(o.overrides()[k] for o, k in zip(overs, places, strict=True))
+        overrides = tuple(o.overrides()[k] for o, k in zip(overs, places, strict=True))
         values = {o.key: o.values[k] for o, k in zip(overs, places, strict=True)}
-        job = Job(robot.reference, (*robot.overrides, *portable(own)), store.absolute(), "evaluate", command)
+        job = Job(robot.reference, (*robot.overrides, *portable(overrides)), store.absolute(), "evaluate", command)
         label = ", ".join(f"{key}={value}" for key, value in values.items())
-        points.append(SweepPoint(label, job, _loaded(job, own), values))
+        points.append(SweepPoint(label, job, _loaded(job, overrides), values))
     return overs, Study(tuple(points))
 
 
-def _loaded(job: Job, own: Sequence[str]) -> RobotDescription | InputError:
+def _loaded(job: Job, overrides: Sequence[str]) -> RobotDescription | InputError:
     try:
         return load(job.robot, job.overrides).description
     except InputError as error:
-        said = str(error)
-        for override in own:  # as it was written
-            said = said.replace(f"--set {override}", f"--over {override}")
-        return InputError(said)
+        message = str(error)
+        for override in overrides:  # as it was written
+            message = message.replace(f"--set {override}", f"--over {override}")
+        return InputError(message)
 
 
 def sweep(robot: str, overs: tuple[Over, ...], study: Study[SweepPoint], on: Place, observe: Observe) -> Sweep:
@@ -93,11 +93,11 @@ def sweep(robot: str, overs: tuple[Over, ...], study: Study[SweepPoint], on: Pla
 
 def _rows(point: SweepPoint, outcome: Outcome | Failure) -> list[dict[str, Any]]:
     seed = point.robot.seed if isinstance(point.robot, RobotDescription) else None
-    own = {"seed": seed} | dict(point.values)
+    columns = {"seed": seed} | dict(point.values)
     if isinstance(outcome, Failure):
-        return [own | {"error": str(outcome.error)}]
+        return [columns | {"error": str(outcome.error)}]
     assert outcome.comparison is not None
-    return [own | row for row in method_rows(outcome.comparison)]
+    return [columns | row for row in method_rows(outcome.comparison)]
 
 
 def _frame(robot: str, overs: Sequence[Over], rows: Sequence[Mapping[str, Any]]) -> pd.DataFrame:

@@ -22,10 +22,10 @@ _MOST_ROWS = 8  # combinations of the other swept values
 
 def drawing(sweep: Sweep, key: str) -> str:
     """An SVG whose bytes depend on the results alone. One column a unit, one row a combination of the other values."""
-    found = medians(sweep)
-    units = measured_units(found)
+    table = medians(sweep)
+    units = measured_units(table)
     others = [other for other in sweep.keys if other != key]
-    parts: list[tuple[Any, Any]] = list(found.groupby(others, sort=False)) if others else [((), found)]
+    parts: list[tuple[Any, Any]] = list(table.groupby(others, sort=False)) if others else [((), table)]
     shown = parts[:_MOST_ROWS]
     with rc_context(STYLE):
         size = (0.6 + 5.4 * len(units), 0.6 + 3.4 * len(shown))
@@ -34,8 +34,8 @@ def drawing(sweep: Sweep, key: str) -> str:
         for line, (values, part) in zip(panels, shown, strict=True):
             for axes, mean in zip(line, units, strict=True):
                 _draw(part, key, mean, axes)
-                what = ", ".join(f"{k} = {v}" for k, v in zip(others, values, strict=True))
-                axes.set_title(one_line(what), fontsize=9, parse_math=False)
+                title = ", ".join(f"{k} = {v}" for k, v in zip(others, values, strict=True))
+                axes.set_title(one_line(title), fontsize=9, parse_math=False)
         for axes in panels[-1]:
             axes.set_xlabel(key)
         figure.legend(*panels[0][0].get_legend_handles_labels(), loc="outside lower center", ncols=6, frameon=False)

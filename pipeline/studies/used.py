@@ -41,5 +41,7 @@ class Used:
         inputs = {s: sorted({d for (stage, _), d in self.digests.items() if stage == s}) for s in sorted(stages)}
         return {
             "versions": versions(libraries=[name for s in stages if s in known for name in known[s].libraries]),
-            "inputs": {stage: found[0] if len(found) == 1 else digest(found) for stage, found in inputs.items()},
+            "inputs": {
+                stage: digests[0] if len(digests) == 1 else digest(digests) for stage, digests in inputs.items()
+            },
         }

@@ -150,8 +150,8 @@ def stream_of(
         noise = sensor.sigma("yaw" if kind == "yaw" else "tilt") * random.normal(size=count)
         wrong = np.deg2rad(stream.outlier_deg) * random.choice([-1.0, 1.0], count)
         columns[name] = read[name] + noise + np.where(outlier[kind], wrong, 0.0)
-    came = random.random(count) >= stream.dropouts
-    return pd.DataFrame({name: values[came] for name, values in columns.items()})
+    received = random.random(count) >= stream.dropouts
+    return pd.DataFrame({name: values[received] for name, values in columns.items()})
 
 
 def measure(

@@ -29,7 +29,7 @@ def residuals(chain: ClosedChain, q: np.ndarray, count: int, seed: int) -> np.nd
     random = np.random.default_rng([seed, 12])
     rates, frames = passive_rates(chain, q), tree(chain, q)
     reach = float(np.max(np.ptp(np.stack(frames.translation, axis=1), axis=1), initial=0.0)) or 1.0
-    found = np.empty((count, len(q), rates.shape[2]))
+    shifts = np.empty((count, len(q), rates.shape[2]))
     for sibling in range(count):
         up = random.normal(size=3) if random.random() < _ASKEW else chain.base.rotation[:, 2]
         up = up / np.linalg.norm(up)
@@ -40,8 +40,8 @@ def residuals(chain: ClosedChain, q: np.ndarray, count: int, seed: int) -> np.nd
             mass = _BODY * np.exp(_SPREAD * random.normal())
             load = load + mass * _raised(up, point_jacobian(chain, frames, joint, _place(random, 0.3 * reach)), rates)
         give = -load * np.exp(_SPREAD * random.normal(size=load.shape[1]))
-        found[sibling] = give / max(float(np.sqrt(np.mean(give**2))), 1e-12)
-    return found
+        shifts[sibling] = give / max(float(np.sqrt(np.mean(give**2))), 1e-12)
+    return shifts
 
 
 def unexplained(model: ErrorModel, readings: np.ndarray, q: np.ndarray, give: np.ndarray) -> np.ndarray:

@@ -8,7 +8,9 @@ from scipy.spatial.transform import Rotation
 
 from kincal.identification.error_model import ErrorModel
 from kincal.pipeline.results import Measured, Truth
+from kincal.pipeline.stages.drawing import model
 from kincal.pipeline.stages.fresh_poses import fresh_poses as of_virtual_robot
+from kincal.pipeline.stages.robot_data import DrawnRobot
 from kincal.pipeline.virtual.errors import Circumstances, approaches, clearance
 from kincal.pipeline.virtual.robot import VirtualRobot, draw, stream_of
 from kincal.pipeline.virtual.robot import measure as sense
@@ -290,7 +292,7 @@ def test_cross_axis_is_in_the_measurements_and_not_in_the_truth(measured, scene,
     before, after = ((m.table if m.stream is None else m.stream).drop(columns="pose") for m in (off, on))
     moved = (after - before).abs().max()
     assert (moved[moved.index.str.match("q|roll|pitch|yaw")] > 1e-6).all()
-    np.testing.assert_array_equal(*(fresh_poses(m.truth, scene, robot)[1].rotation for m in (off, on)))
+    np.testing.assert_array_equal(*(fresh_poses(m.truth, robot)[1].rotation for m in (off, on)))
 
 
 def test_the_pipeline_measures_the_robot_as_it_warms_up_and_scores_it_warm(measured, scene, robot):
@@ -299,7 +301,7 @@ def test_the_pipeline_measures_the_robot_as_it_warms_up_and_scores_it_warm(measu
     assert turned[0] == 0.0
     assert turned[-1] > 1e-5
     assert np.corrcoef(turned, np.arange(len(turned)))[0, 1] > 0.9
-    at, pose = fresh_poses(grown.truth, scene, robot)
+    at, pose = fresh_poses(grown.truth, robot)
     virtual = VirtualRobot.of(scene.nominal, grown.truth)
     warm = Circumstances(np.zeros_like(at), np.ones(len(at)))
     np.testing.assert_array_equal(pose.rotation, virtual.pose(at, warm).rotation)
@@ -318,7 +320,7 @@ def test_the_pipeline_takes_the_rows_of_its_lists_one_after_the_other(measured, 
     expected = virtual.pose(readings, Circumstances(approach, np.zeros(len(readings)))).rotation
     np.testing.assert_allclose(quaternions(lost).as_matrix(), expected, atol=1e-9)
     assert (quaternions(none).inv() * quaternions(lost)).magnitude().max() > 1e-5
-    at, pose = fresh_poses(lost.truth, scene, robot)
+    at, pose = fresh_poses(lost.truth, robot)
     approach = np.sign(np.diff(np.vstack([HOME, at]), axis=0))
     expected = virtual.pose(at, Circumstances(approach, np.zeros(len(at))))
     np.testing.assert_allclose(pose.rotation, expected.rotation, atol=1e-12)
@@ -347,7 +349,9 @@ def quaternions(measured: Measured) -> Rotation:
     return Rotation.from_quat(measured.table[["qx", "qy", "qz", "qw"]].to_numpy())
 
 
-def fresh_poses(truth: Truth, scene: Scene, robot) -> tuple[np.ndarray, Motion]:
+def fresh_poses(truth: Truth, robot) -> tuple[np.ndarray, Motion]:
     """Readings of poses that a method is scored on, and the truth there."""
-    at, pose = of_virtual_robot(robot("ups3_s").description, scene.nominal, truth, 40, 0)
+    description = robot("ups3_s").description
+    drawn = DrawnRobot.of(model(description.mechanism, description.urdf), description)
+    at, pose = of_virtual_robot(drawn, truth, 40, 0)
     return at.readings, pose
