@@ -11,6 +11,7 @@ import numpy as np
 from kincal.identification.identification import HUMAN, Identification
 from kincal.learning.correction import Correction
 from kincal.pipeline.results import MethodScore, Model
+from kincal.urdf.description import SENSORS
 
 _CONDITION_INDEX, _PROPORTION, _INFLATION = 30.0, 0.5, 10.0  # Belsley, Kuh, Welsch 1980: worth a word beyond
 _Z95 = 1.959964  # of a normal distribution: 95 % lie within
@@ -139,10 +140,13 @@ def collinear_lines(identification: Identification, most: int = 5) -> list[str]:
 
 
 def sensor_sigmas(identification: Identification) -> str:
-    """One sigma of each channel, for people."""
-
-    channels = named(identification.sensor_std)
-    return "; ".join(f"{c.name} {c.human[1] * identification.sensor_std[c.name]:.3g} {c.human[0]}" for c in channels)
+    """One sigma of each channel, for people. Units by the names of [sensor]: channels themselves load casadi."""
+    factors = dict(HUMAN.values())
+    parts = []
+    for name, sigma in identification.sensor_std.items():
+        unit, _ = SENSORS[name]
+        parts.append(f"{name} {factors[unit] * sigma:.3g} {unit}")
+    return "; ".join(parts)
 
 
 def summary_lines(identification: Identification) -> list[str]:
