@@ -29,7 +29,7 @@ from kincal.identification.shrinkage import (
     uncertainty,
 )
 from kincal.urdf.description import Identify
-from kincal.urdf.errors import CalibrationError, InputError
+from kincal.urdf.errors import CalibrationError, InputError, NotConvergedError
 
 _FLAT_SCALE = 1e-2  # a natural size for W and T in the scaled Jacobian [m, rad]; decides nothing but rounding
 _OTHERS = 30  # iterations of other starts, once one has converged
@@ -108,7 +108,7 @@ def identify(
         factors = {c: factors[c] * f for c, f in change.items()}
         if all(abs(np.log(f)) < _SETTLED for f in change.values()):
             return replace(estimate, sigma_factors=factors)
-    raise CalibrationError(
+    raise NotConvergedError(
         f"the sigmas of {', '.join(factors)} did not settle in {_ROUNDS} rounds: give them in [sensor]"
     )
 
@@ -254,7 +254,7 @@ def _variance_components(
 
 def _require(solution: Solution, task: str) -> None:
     if not solution.success:
-        raise CalibrationError(f"{task} did not converge: {solution.message}")
+        raise NotConvergedError(f"{task} did not converge: {solution.message}")
 
 
 def _about(triangle: np.ndarray, p: np.ndarray, rows: int) -> Linear:

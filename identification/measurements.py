@@ -15,7 +15,7 @@ from kincal.identification.table_files import floats, load
 from kincal.urdf.actuators import Actuators
 from kincal.urdf.closed_chain import ClosedChain
 from kincal.urdf.description import Column, Measure, Sensor, Tolerance, listed, nearest
-from kincal.urdf.errors import InputError
+from kincal.urdf.errors import InputError, TableError
 from kincal.urdf.rigid_motion import Motion, from_zyx_angles
 
 UNITS = {"m": 1.0, "mm": 1e-3, "rad": 1.0, "deg": np.pi / 180, "rev": 2 * np.pi, "1": 1.0}
@@ -101,7 +101,7 @@ def canonical_table(
     Raises InputError that names the file, the column, the row and the value.
     """
     if not len(raw):
-        raise InputError(f"{file}: the table is empty; at least one row is needed")
+        raise TableError(f"{file}: the table is empty; at least one row is needed")
     known = ["pose", *joints, *(c for group in _GROUPS for c in group), *(f"{c.name}_std" for c in CHANNELS)]
     for name in measure.columns:
         if name not in known:
@@ -117,7 +117,7 @@ def canonical_table(
             columns[name] = numbers(raw[column.source].tolist(), column, file)
         elif name in measure.columns or name in joints:
             has = listed(raw.columns)
-            raise InputError(f"{file}: column {column.source!r} ({name}) is missing; it has {has}")
+            raise TableError(f"{file}: column {column.source!r} ({name}) is missing; it has {has}", column.source)
     _check_groups(columns, file, measured)
     _check_rows(columns, file)
     for channel in CHANNELS:
@@ -134,9 +134,8 @@ def numbers(values: list[object], column: Column, file: Path | str) -> np.ndarra
         row, allowed = bad[0], "finite numbers"
         if np.isfinite(values_read[row]):
             allowed = f"finite numbers below {_LARGEST:g}"
-        raise InputError(
-            f"{file}: column {column.source!r}, row {row + 1}: found {values[row]!r}; allowed are {allowed}"
-        )
+        message = f"{file}: column {column.source!r}, row {row + 1}: found {values[row]!r}; allowed are {allowed}"
+        raise TableError(message, column.source, int(row))
     return values_read * UNITS[column.unit]
 
 
@@ -145,9 +144,9 @@ def _check_groups(columns: Mapping[str, np.ndarray], file: Path | str, measured:
         present = [c for c in group if c in columns]
         if present and len(present) < len(group):
             missing = ", ".join(c for c in group if c not in columns)
-            raise InputError(f"{file}: it has {', '.join(present)}, but not {missing}; allowed is all of them or none")
+            raise TableError(f"{file}: it has {', '.join(present)}, but not {missing}; allowed is all of them or none")
     if measured and not any(c in columns for group in _GROUPS for c in group):
-        raise InputError(f"{file}: nothing was measured; allowed are {_ALLOWED}")
+        raise TableError(f"{file}: nothing was measured; allowed are {_ALLOWED}")
 
 
 def _check_rows(columns: dict[str, np.ndarray], file: Path | str) -> None:
@@ -158,20 +157,24 @@ def _check_rows(columns: dict[str, np.ndarray], file: Path | str) -> None:
     repeated = np.setdiff1d(np.arange(len(pose)), first)
     if len(repeated):
         row = repeated[0]
-        raise InputError(f"{file}: pose {pose[row]} stands there twice (row {row + 1}); allowed is once")
+        raise TableError(
+            f"{file}: pose {pose[row]} stands there twice (row {row + 1}); allowed is once", "pose", int(row)
+        )
     for name, values in columns.items():
         if name.endswith("_std"):
             _refuse(~(values > 0), file, name, values, "numbers greater than 0")
     for channel in CHANNELS:
         wrong = channel.wrong_row(columns) if channel.columns[0] in columns else None
         if wrong is not None:
-            raise InputError(f"{file}: row {wrong[0] + 1}: {wrong[1]}")
+            raise TableError(f"{file}: row {wrong[0] + 1}: {wrong[1]}", row=wrong[0])
 
 
 def _refuse(bad: np.ndarray, file: Path | str, column: str, values: np.ndarray, allowed: str) -> None:
     if bad.any():
         row = int(np.argmax(bad))
-        raise InputError(f"{file}: column {column!r}, row {row + 1}: found {values[row]:g}; allowed are {allowed}")
+        raise TableError(
+            f"{file}: column {column!r}, row {row + 1}: found {values[row]:g}; allowed are {allowed}", column, row
+        )
 
 
 def to_measurements(table: pd.DataFrame, joints: Sequence[str], sensor: Sensor) -> Measurements:
@@ -205,7 +208,8 @@ def check_readings(
             row, unit = bad[0], "m" if chain.prismatic[joint] else "rad"
             smaller = next((u for u in ("mm", "deg") if low[row] <= values[row] * UNITS[u] <= high[row]), None)
             hint = f"; is it in {smaller}? (measure.columns gives a column's unit)" if smaller else ""
-            raise InputError(
+            message = (
                 f"{file}: pose {table['pose'][row]}: joint {name!r} would be at {values[row]:.6g} {unit}; "
                 f"its limits are [{chain.lower[joint]:.6g}, {chain.upper[joint]:.6g}]{hint}"
             )
+            raise TableError(message, name, int(row))

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar, get_args
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, create_model, field_validator, model_validator
 
-from kincal.urdf.errors import InputError
+from kincal.urdf.errors import InputError, UnknownNameError
 from kincal.urdf.input_files import MAX_KEY, MAX_TOML, parse_toml, read_text
 
 ROBOTS = Path(__file__).parent / "robots"
@@ -553,7 +553,9 @@ def find_robot(robot: str) -> Path:
     if "/" not in robot and os.path.isfile(shipped):
         return shipped
     names = sorted(p.parent.name for p in ROBOTS.glob("*/robot.toml"))
-    raise InputError(f"robot {robot!r}: neither a file nor a shipped robot; {nearest(robot, names)}")
+    raise UnknownNameError(
+        f"robot {robot!r}: neither a file nor a shipped robot; {nearest(robot, names)}", robot, names
+    )
 
 
 def read_toml(file: Path) -> dict[str, Any]:

@@ -12,7 +12,7 @@ from kincal.identification.measurements import Measurements
 from kincal.identification.registration import MIN_POSES, instrument_starts
 from kincal.pipeline.methods.goal import WHOLE
 from kincal.pipeline.methods.predictors import Method
-from kincal.urdf.errors import CalibrationError, InputError
+from kincal.urdf.errors import InputError, NotConvergedError
 from kincal.urdf.rigid_motion import Motion
 
 
@@ -37,7 +37,7 @@ def refitted(method: Method, measured: Measurements, register: bool, rehome: boo
     """`method` with W (register) and the zeros (rehome) fitted to measured poses, by its own predictions.
 
     The few unknowns are found from a closed-form start with differences of predictions: networks and models alike.
-    Raises InputError for too few poses, CalibrationError where the fit does not converge.
+    Raises InputError for too few poses, NotConvergedError where the fit does not converge.
     """
     if len(measured) < MIN_POSES:
         raise InputError(f"{len(measured)} poses can't register an instrument; at least {MIN_POSES} are needed")
@@ -60,5 +60,5 @@ def refitted(method: Method, measured: Measurements, register: bool, rehome: boo
 
     solution, best = min((fit(start) for start in starts), key=lambda pair: pair[0].cost)
     if not solution.success:
-        raise CalibrationError(f"the fit of W and the zeros did not converge: {solution.message}")
+        raise NotConvergedError(f"the fit of W and the zeros did not converge: {solution.message}")
     return best

@@ -11,7 +11,7 @@ THREADS = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
 
 @contextmanager
 def fixed_threads(libraries: Collection[str]) -> Iterator[None]:
-    """One thread within, or as many as OMP_NUM_THREADS says; afterwards as before.
+    """One thread within, or as many as OPENBLAS_NUM_THREADS and OMP_NUM_THREADS say; afterwards as before.
 
     Where the environment fixes the number, as the command line sees to, the libraries obey it by themselves.
     libraries: those that will be used. A library that is imported within would miss the limit, so it is imported here.
@@ -21,13 +21,18 @@ def fixed_threads(libraries: Collection[str]) -> Iterator[None]:
         return
     from threadpoolctl import threadpool_limits
 
-    given = os.environ.get("OMP_NUM_THREADS", "1")
-    threads = int(given) if given.isdigit() and int(given) else 1
+    blas, openmp = map(_given, THREADS[:2])
     import scipy.linalg  # noqa: F401
 
-    of_torch = _torch_threads(threads) if "torch" in libraries else nullcontext()
-    with of_torch, threadpool_limits({"blas": 1, "openmp": threads}):
+    of_torch = _torch_threads(openmp) if "torch" in libraries else nullcontext()
+    with of_torch, threadpool_limits({"blas": blas, "openmp": openmp}):
         yield
+
+
+def _given(name: str) -> int:
+    """The number that the environment gives; 1 where it gives none."""
+    text = os.environ.get(name, "1")
+    return max(1, int(text)) if text.isascii() and text.isdigit() else 1
 
 
 @contextmanager

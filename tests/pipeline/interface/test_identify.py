@@ -233,3 +233,27 @@ def test_what_the_data_say_is_logged(capfd, caplog, robot):
     said = capfd.readouterr()
     assert said.out == ""
     assert "ups3_s" not in said.err
+
+
+@pytest.mark.parametrize(
+    "spoil, column, row",
+    [
+        (lambda t: t.drop(columns="leg2_slide"), "leg2_slide", None),
+        (lambda t: t.assign(roll=t["roll"].where(t["pose"] != 4)), "roll", 4),
+        (lambda t: t.assign(tilt_std=-1.0), "tilt_std", 0),
+        (lambda t: t.assign(leg3_slide=9.0), "leg3_slide", 0),
+        (lambda t: t.head(0), None, None),
+    ],
+)
+def test_a_table_error_says_where(robot, data, spoil, column, row):
+    with pytest.raises(kincal.TableError) as error:
+        kincal.identify(robot, spoil(data))
+    assert (error.value.column, error.value.row) == (column, row)
+
+
+def test_other_errors_carry_what_a_caller_can_act_on(robot, data):
+    with pytest.raises(kincal.UnknownNameError) as unknown:
+        kincal.load("ups3")
+    assert "ups3_s" in unknown.value.allowed
+    with pytest.raises(kincal.NotConvergedError):
+        kincal.identify(kincal.load("ups3_s", {"identify.max_iterations": 1}), data)
