@@ -14,7 +14,7 @@ from kincal.pipeline.commands.options import Common, command_line
 from kincal.urdf.errors import InputError
 
 if TYPE_CHECKING:
-    from kincal.pipeline.interface.studies import FleetResult
+    from kincal.pipeline.interface.fleets import FleetResult
 
 
 def run_fleet(
@@ -56,7 +56,7 @@ def _carried(
     output: Path | None,
     common: Common,
 ) -> FleetResult:
-    from kincal.pipeline.interface.studies import fleet
+    from kincal.pipeline.interface.fleets import fleet
 
     if source is not None and not everything:
         raise InputError(f"--from {source}: goes with --all")

@@ -36,7 +36,7 @@ def sweep(
         The folder of sweep.parquet and sweep.svg (default: the robot's folder in the store).
     """
     from kincal.pipeline.interface.robots import load
-    from kincal.pipeline.interface.studies import sweep as swept
+    from kincal.pipeline.interface.sweeps import sweep as swept
 
     loaded = load(robot, common.overrides)
     result = swept(
@@ -80,7 +80,7 @@ def reproduce(
     output
         The folder of index.html, the figures, the tables and results.json.
     """
-    from kincal.pipeline.interface.studies import reproduce as reproduced
+    from kincal.pipeline.interface.reproduction import reproduce as reproduced
 
     result = reproduced(
         seeds=seeds,

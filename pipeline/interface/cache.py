@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from kincal.pipeline.interface.progress import StageObserver
 from kincal.pipeline.interface.robots import RobotLike
-from kincal.pipeline.interface.sessions import opened
+from kincal.pipeline.interface.sessions import COMMAND, opened
 from kincal.urdf.errors import InputError
 
 if TYPE_CHECKING:
@@ -74,7 +74,7 @@ def collect(
 
 
 def accept(
-    robot: RobotLike, store: str | PathLike[str], stages: Collection[str] = (), command: str = "kincal in Python"
+    robot: RobotLike, store: str | PathLike[str], stages: Collection[str] = (), command: str = COMMAND
 ) -> list[Accepted]:
     """Mark cached results as valid for the current code; stages: of these alone. Raises InputError."""
     from kincal.pipeline.run.acceptance import accept as accepted
@@ -85,7 +85,7 @@ def accept(
 def verify(
     robot: RobotLike,
     store: str | PathLike[str],
-    command: str = "kincal in Python",
+    command: str = COMMAND,
     progress: StageObserver = False,
 ) -> Verified:
     """Check what a robot's results rest on: seals, digests, the chain, and the comparison made once more."""

@@ -16,7 +16,7 @@ from kincal.pipeline.interface.data import Data, Readings, raw_readings, raw_tab
 from kincal.pipeline.interface.fit import Fit, measured_table
 from kincal.pipeline.interface.progress import StageObserver
 from kincal.pipeline.interface.robots import RobotLike, robot_of
-from kincal.pipeline.interface.sessions import opened
+from kincal.pipeline.interface.sessions import COMMAND, opened
 from kincal.urdf.description import Robot
 from kincal.urdf.errors import InputError
 
@@ -57,7 +57,7 @@ class Calibration:
         *,
         store: str | PathLike[str] | None = None,
         progress: StageObserver = False,
-        command: str = "kincal in Python",
+        command: str = COMMAND,
         force_from: str | None = None,
     ) -> Calibration:
         """As `calibrate`, but no stage runs yet.

@@ -16,12 +16,14 @@ from kincal.pipeline.store.store import Store
 from kincal.urdf.description import nearest
 from kincal.urdf.errors import InputError
 
+COMMAND = "kincal in Python"  # what provenance says of results that no command line asked for
+
 
 def opened(
     robot: RobotLike,
     store: str | PathLike[str] | None = None,
     progress: StageObserver = False,
-    command: str = "kincal in Python",
+    command: str = COMMAND,
     force_from: str | None = None,
 ) -> Run:
     """The robot's way through the stages. Raises InputError.

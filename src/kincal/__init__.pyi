@@ -3,10 +3,12 @@
 from .pipeline.interface.calibration import Calibration, calibrate
 from .pipeline.interface.campaign import Foresight, Plan, foresee, measure, plan
 from .pipeline.interface.fit import Fit, identify
+from .pipeline.interface.fleets import FleetResult, fleet
 from .pipeline.interface.job_progress import JobEvent
+from .pipeline.interface.reproduction import Reproduction, reproduce
 from .pipeline.interface.robots import load, propose
 from .pipeline.interface.sea import SeaOptions, SeaTrialResult, sea_trial
-from .pipeline.interface.studies import FleetResult, Reproduction, SweepResult, fleet, reproduce, sweep
+from .pipeline.interface.sweeps import SweepResult, sweep
 from .pipeline.results import Comparison
 from .pipeline.run.runner import Event
 from .urdf.description import Robot
