@@ -42,11 +42,12 @@ from kincal.identification.estimators import identify, register
 from kincal.identification.measurements import Measurements, to_measurements
 from kincal.identification.summary import summarise
 from kincal.learning.units import Inherited
+from kincal.pipeline.learned import Pretrained, SourceTask
 from kincal.pipeline.methods.networks import learned, pretrained, source_task
 from kincal.pipeline.methods.predictors import METHODS, Method, ModelMethod, build
 from kincal.pipeline.methods.refit import refitted
 from kincal.pipeline.methods.residual_network import corrected
-from kincal.pipeline.results import Fit, Identified, Pretrained, SourceTask
+from kincal.pipeline.results import Fit, Identified
 from kincal.pipeline.run.runner import Run
 from kincal.pipeline.stages import correction, drawing
 from kincal.pipeline.stages.robot_data import DrawnRobot

@@ -14,9 +14,10 @@ import pandas as pd
 from kincal.identification.error_model import ErrorModel
 from kincal.identification.identification import Identification
 from kincal.identification.measurements import Measurements, canonical_table, check_readings, to_measurements
+from kincal.pipeline.learned import Corrected, Hybrids, Learned, Transferred
 from kincal.pipeline.methods.covariance import pose_covariance
 from kincal.pipeline.methods.predictors import METHODS, HybridMethod, Method, ModelMethod, build
-from kincal.pipeline.results import Corrected, Fit, Hybrids, Identified, Learned, Transferred
+from kincal.pipeline.results import Fit, Identified
 from kincal.urdf.description import Measure, RobotDescription, nearest
 from kincal.urdf.errors import InputError, UnknownNameError
 

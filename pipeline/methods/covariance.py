@@ -11,8 +11,9 @@ from scipy.special import gammaincinv
 from kincal.identification.error_model import ErrorModel
 from kincal.identification.expected import prior_sigma
 from kincal.learning.correction import HELD
+from kincal.pipeline.learned import Corrected
 from kincal.pipeline.methods.predictors import HybridMethod, ModelMethod
-from kincal.pipeline.results import Corrected, Fit
+from kincal.pipeline.results import Fit
 
 
 def pose_covariance(

@@ -8,8 +8,9 @@ from kincal.identification.error_model import ErrorModel
 from kincal.identification.measurements import Measurements
 from kincal.learning.network import Network
 from kincal.learning.transfer import allowed_hidden, new_network, train
+from kincal.pipeline.learned import Learned, Pretrained, SourceTask
 from kincal.pipeline.methods.charts import Chart
-from kincal.pipeline.results import Fit, Identified, Learned, Pretrained, SourceTask
+from kincal.pipeline.results import Fit, Identified
 from kincal.urdf.description import Pretrain, Transfer
 from kincal.urdf.errors import InputError
 

@@ -11,9 +11,10 @@ import numpy as np
 from kincal.identification.error_model import BuiltRobot, ErrorModel
 from kincal.learning.correction import Correction
 from kincal.learning.network import Network
+from kincal.pipeline.learned import Corrected, Learned
 from kincal.pipeline.methods.charts import Chart
 from kincal.pipeline.methods.goal import WHOLE, Goal
-from kincal.pipeline.results import Corrected, Fit, Learned
+from kincal.pipeline.results import Fit
 from kincal.urdf.kinematics import Closure, actuator_jacobian, tool_coordinates
 from kincal.urdf.rigid_motion import Motion, exp, log, wrap
 

@@ -13,7 +13,8 @@ from kincal.identification.poses import equal_parts
 from kincal.learning.correction import Correction
 from kincal.learning.residual import Task, fit_correction, learning_curve, refit
 from kincal.learning.units import Inherited
-from kincal.pipeline.results import Corrected, Fit
+from kincal.pipeline.learned import Corrected
+from kincal.pipeline.results import Fit
 from kincal.urdf.description import Correct
 from kincal.urdf.kinematics import Closure
 

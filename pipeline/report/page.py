@@ -14,20 +14,12 @@ from matplotlib.figure import Figure
 from kincal.identification.channels import BY_ROWS
 from kincal.identification.identification import Identification
 from kincal.identification.streams.campaign import Campaign
+from kincal.pipeline.learned import Corrected, Learned, Pretrained, SiblingResiduals
 from kincal.pipeline.report.figures import BLUE, GREY, RED, STYLE, clean, inline, svg
 from kincal.pipeline.report.identification_figures import changes, singular_values
 from kincal.pipeline.report.pages import environment
 from kincal.pipeline.report.tables import collinear_lines, comparison_tables, fixed, parameter_table, wave_table
-from kincal.pipeline.results import (
-    Comparison,
-    Corrected,
-    Filtered,
-    Identified,
-    Learned,
-    Model,
-    Pretrained,
-    SiblingResiduals,
-)
+from kincal.pipeline.results import Comparison, Filtered, Identified, Model
 
 
 def page(

@@ -6,7 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from kincal.pipeline.results import RAW, Fits, Measured, PosePlan
+from kincal.pipeline.learned import Fits
+from kincal.pipeline.results import RAW, Measured, PosePlan
 from kincal.pipeline.run.fan_out import Job, run_of
 from kincal.pipeline.run.stage import stage_of
 from kincal.pipeline.stages.robot_data import Poses

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from kincal.pipeline.results import Hybrids, Identified, SiblingResiduals
+from kincal.pipeline.learned import Hybrids, SiblingResiduals
+from kincal.pipeline.results import Identified
 from kincal.pipeline.stages.robot_data import DrawnRobot, Poses
 from kincal.urdf.description import Correct, Plan, Siblings
 

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from kincal.pipeline.results import Identified, Pretrained, SourceTask, Transferred
+from kincal.pipeline.learned import Pretrained, SourceTask, Transferred
+from kincal.pipeline.results import Identified
 from kincal.pipeline.stages.robot_data import DrawnRobot, Poses
 from kincal.urdf.description import Plan, Pretrain, Prior, Transfer
 

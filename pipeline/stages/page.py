@@ -2,17 +2,8 @@
 
 from __future__ import annotations
 
-from kincal.pipeline.results import (
-    Comparison,
-    Filtered,
-    Fits,
-    Html,
-    Measured,
-    Model,
-    Pretrained,
-    Report,
-    SiblingResiduals,
-)
+from kincal.pipeline.learned import Fits, Pretrained, SiblingResiduals
+from kincal.pipeline.results import Comparison, Filtered, Html, Measured, Model, Report
 
 
 def report(

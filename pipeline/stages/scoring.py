@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from kincal.pipeline.results import RAW, Comparison, Compensated, Fits, Measured
+from kincal.pipeline.learned import Fits
+from kincal.pipeline.results import RAW, Comparison, Compensated, Measured
 from kincal.pipeline.stages.robot_data import DrawnRobot, Poses
 from kincal.urdf.description import Evaluate
 

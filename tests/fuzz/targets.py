@@ -215,7 +215,8 @@ def _rao(folder: Path) -> None:
 def _values() -> dict[str, Any]:
     """{stage: a small result of its kind}."""
     from kincal.learning.network import Network
-    from kincal.pipeline.results import Fit, Html, Measured, PosePlan, Pretrained, Report, Truth
+    from kincal.pipeline.learned import Pretrained
+    from kincal.pipeline.results import Fit, Html, Measured, PosePlan, Report, Truth
     from kincal.urdf.description import VirtualErrors
 
     weights = Network((3, 2, 2, 4), np.linspace(0, 1, 26), np.zeros(3), np.ones(3), np.ones(4))

@@ -20,9 +20,10 @@ from kincal.learning.correction import Correction, Hull, Spread
 from kincal.learning.inherit import inherit
 from kincal.learning.units import Inherited, Units, shared_units
 from kincal.pipeline.commands.app import main
+from kincal.pipeline.learned import Corrected
 from kincal.pipeline.methods.predictors import HybridMethod, ModelMethod, build
 from kincal.pipeline.methods.residual_network import corrected
-from kincal.pipeline.results import Comparison, Corrected, Fit
+from kincal.pipeline.results import Comparison, Fit
 from kincal.pipeline.run.fingerprint import ROOT
 from kincal.pipeline.run.runner import Run
 from kincal.pipeline.run.stage import all_stages

@@ -6,9 +6,10 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from kincal.pipeline.learned import Corrected
 from kincal.pipeline.methods.advice import advise
 from kincal.pipeline.methods.calibrated import Calibrated
-from kincal.pipeline.results import Corrected, MethodScore
+from kincal.pipeline.results import MethodScore
 
 
 def score(name: str, deg: float | None, mm: float | None = None) -> MethodScore:

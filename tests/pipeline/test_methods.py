@@ -11,10 +11,11 @@ from scipy.spatial.transform import Rotation, Slerp
 from kincal.identification.accuracy import gravity_error
 from kincal.learning.network import Network
 from kincal.learning.transfer import new_network, train
+from kincal.pipeline.learned import Corrected, Learned
 from kincal.pipeline.methods.charts import Chart
 from kincal.pipeline.methods.commands import commands
 from kincal.pipeline.methods.predictors import METHODS, HybridMethod, ModelMethod, NetworkMethod, build
-from kincal.pipeline.results import Corrected, Fit, Learned
+from kincal.pipeline.results import Fit
 from kincal.urdf.errors import InputError
 from kincal.urdf.kinematics import forward, inverse, pose_at, tool_coordinates
 from kincal.urdf.rigid_motion import Motion, log
