@@ -49,25 +49,21 @@ def _measure(
     workspace = session.robot.description.workspace
     began = time.perf_counter()
     compensator = Compensator.of(method, channels, workspace)
+    solver = compensator.solver
     files = sources(compensator, "it", [robot])
     made, most = time.perf_counter() - began, compensator.most
     print(f"{robot}, {name}: code made in {made:.1f} s, {len(files['it.c']) / 1e3:.0f} kB, at most {most}", flush=True)
-    chain = compensator.robot.chain
+    chain = solver.robot.chain
     random = sample(workspace, chain.tool_axes, _SAMPLES, [0, 50])
     for what, u in (("path", _path(workspace, chain.tool_axes)), ("random poses", random)):
-        readings = compensator.robot.actuators.readings(inverse(chain, u).q[:, chain.actuated])
+        readings = solver.robot.actuators.readings(inverse(chain, u).q[:, chain.actuated])
         desired = method.predict(readings)
         _in_c(f"{what}, C, gcc -O3", files, desired, folder)
         if what == "path":
             continue
-        for where, call in (
-            ("Method.command", lambda: method.command(desired, channels)),  # noqa: B023
-            ("Compensator.commands", lambda: compensator.commands(desired)),  # noqa: B023
-        ):
-            print(f"  {what}, Python, {where:<42} {_SAMPLES / median_seconds(call, 3):10.0f} samples/s", flush=True)
-        fast = compensator.compiled()
-        seconds = median_seconds(lambda: fast.commands(desired), 3)  # noqa: B023
-        print(f"  {what}, Python, {'Compensator.compiled().commands':<42} {_SAMPLES / seconds:10.0f} samples/s")
+        for where, quick in (("interpreted", solver), ("compiled", solver.compiled())):
+            seconds = median_seconds(lambda: quick.commands(desired), 3)  # noqa: B023
+            print(f"  {what}, Python, {where:<12} {_SAMPLES / seconds:10.0f} samples/s", flush=True)
 
 
 def _in_c(what: str, files: dict[str, str], desired: Motion, folder: Path) -> None:

@@ -14,7 +14,7 @@ import scipy.linalg
 from scipy.special import ndtri
 
 from benchmarks.setup import Bench, bench, spread
-from kincal.identification.estimators import Estimate, identify, register
+from kincal.identification.estimators import Estimate, estimate_parameters, register
 from kincal.identification.expected import Sites, expected
 from kincal.identification.identifiability import FLAT_SCALE, identifiability
 from kincal.identification.measurements import Measurements
@@ -61,7 +61,7 @@ def one(job: tuple[str, tuple, str, int, int]) -> list[tuple[int, int]] | str:
     measured = at.measured(robot, at.sites(n, [seed, 31]).readings, seed)
     try:
         registered = register(at.model, measured)
-        found = identify(at.model, measured, Identify(loss=loss), registered)
+        found = estimate_parameters(at.model, measured, Identify(loss=loss), registered)
     except (CalibrationError, InputError) as error:
         return f"{type(error).__name__}: {error}"
     error = found.p - truth

@@ -68,7 +68,7 @@ class Clean:
             def answer(_value: Any = self.values[name], **_: Any) -> Any:
                 return _value
 
-            answer.__module__ = stage.function.__module__
+            answer.__module__, answer.__name__ = stage.place
             fields = {f.name: getattr(stage, f.name) for f in dataclasses.fields(stage)}
             table[name] = Known(**(fields | {"function": answer}), kind=stage.result)
         try:

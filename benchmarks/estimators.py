@@ -16,7 +16,7 @@ from benchmarks.setup import Bench, bench, spread
 from kincal.identification.accuracy import score
 from kincal.identification.collinearity import collinearity
 from kincal.identification.error_model import BuiltRobot
-from kincal.identification.estimators import identify, register
+from kincal.identification.estimators import estimate_parameters, register
 from kincal.identification.expected import Sites
 from kincal.identification.identifiability import identifiability
 from kincal.identification.measurements import Measurements
@@ -137,7 +137,7 @@ def _result(case: Case, n: int, seed: int, ways: dict[str, Identify], outliers: 
     estimates: dict[str, Found | str] = {}
     for name, settings in ways.items():
         try:
-            estimate = identify(at.model, measured, settings, registered)
+            estimate = estimate_parameters(at.model, measured, settings, registered)
             estimates[name] = found(estimate.p, estimate.shrinkage)
         except (CalibrationError, InputError) as error:
             estimates[name] = str(error)

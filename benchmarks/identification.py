@@ -21,7 +21,7 @@ from benchmarks.pinocchio_peer import residuals, solve
 from benchmarks.setup import bench, measured_robot
 from benchmarks.timing import median_seconds, row
 from kincal.identification.error_model import ErrorModel
-from kincal.identification.estimators import Estimate, identify, register
+from kincal.identification.estimators import Estimate, estimate_parameters, register
 from kincal.identification.measurements import Measurements
 
 ROBOTS = ("ups3_s", "gough_stewart", "jugglebot", "ur10")
@@ -57,8 +57,8 @@ def main() -> None:
 
 def _beside_peers(name: str, batched: bool, pose_by_pose: bool) -> None:
     errors, measured = measured_robot(name, POSES)
-    ours = identify(errors, measured)
-    seconds = median_seconds(lambda: identify(errors, measured))
+    ours = estimate_parameters(errors, measured)
+    seconds = median_seconds(lambda: estimate_parameters(errors, measured))
     row(
         f"identification, {POSES} poses, {len(errors.parameters)} parameters ({name})",
         seconds,
@@ -109,7 +109,7 @@ def _timed_poses(n: int) -> dict:
     _, robot = at.built(0)
     measured = at.measured(robot, at.sites(n, [0, 51]).readings, 0)
     began = time.perf_counter()
-    found = identify(at.model, measured)
+    found = estimate_parameters(at.model, measured)
     seconds = time.perf_counter() - began
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
     return {"seconds": seconds, "iterations": found.iterations, "megabytes": peak}

@@ -38,7 +38,7 @@ from benchmarks import ur10_recording
 from benchmarks.setup import spread
 from kincal.identification.accuracy import orientation_error, score
 from kincal.identification.error_model import ErrorModel
-from kincal.identification.estimators import identify, register
+from kincal.identification.estimators import estimate_parameters, register
 from kincal.identification.measurements import Measurements, to_measurements
 from kincal.identification.summary import summarise
 from kincal.learning.units import Inherited
@@ -249,7 +249,7 @@ def _methods(
     with _timed(seconds, "nominal"):
         registered = register(errors, poses[train])
     with _timed(seconds, "geometric"):
-        found = identify(errors, poses[train], description.identify, registered)
+        found = estimate_parameters(errors, poses[train], description.identify, registered)
     fit = Fit(test, registered.p, found.p)
     shipped = summarise(errors, poses[train], found, registered, description.identify)
     scaled = poses.scaled(shipped.sensor_estimated)
@@ -281,8 +281,8 @@ def _prior(
 def _siblings() -> Inherited:
     """Of the arm in the workspace of recorded.toml."""
     description = load_robot(str(ROBOTS / "ur10" / "recorded.toml")).description
-    drawn = drawing.model(description.mechanism, Path(description.urdf))
-    return correction.siblings(DrawnRobot.of(drawn, description), description.siblings).inherited
+    drawn = drawing.model_stage(description.mechanism, Path(description.urdf))
+    return correction.siblings_stage(DrawnRobot.of(drawn, description), description.siblings).inherited
 
 
 def _peers(geometric: Method, train: Measurements, seed: int) -> tuple[dict[str, Method | str], dict[str, float]]:

@@ -13,11 +13,11 @@ from pathlib import Path
 import numpy as np
 
 from kincal.identification.accuracy import Score, score
-from kincal.identification.estimators import identify
+from kincal.identification.estimators import estimate_parameters
 from kincal.identification.expected import all_feasible
 from kincal.identification.measurements import to_measurements, to_table
 from kincal.pipeline.planning.layouts import LAYOUTS, MOST, Planner, planner
-from kincal.pipeline.stages.drawing import model
+from kincal.pipeline.stages.drawing import model_stage
 from kincal.pipeline.virtual.robot import draw, measure
 from kincal.urdf.description import Layout, VirtualErrors, load_robot
 from kincal.urdf.workspace import sample
@@ -39,7 +39,7 @@ def main() -> None:
         if sys.argv[1:] and not any(word in case for word in sys.argv[1:]):
             continue
         description = load_robot(name, settings).description
-        plan = planner(description, model(description.mechanism, Path(description.urdf)).chain())
+        plan = planner(description, model_stage(description.mechanism, Path(description.urdf)).chain())
         print(f"\n{case}\n{'poses needed for':<26}{''.join(f'{known:>12}' for known in LAYOUTS)}", flush=True)
         for unit, values in targets.items():
             for what in ("mean", "max"):
@@ -75,7 +75,7 @@ def _error(plan: Planner, layout: Layout, n: int, seed: int) -> Score:
     readings = plan.sites(layout, n).readings
     columns = measure(truth.measured(truth.close(readings).pose), plan.channels, plan.sensor, seed)
     table = to_table(chain.actuated_names, readings, columns)
-    identified = errors.robot(identify(errors, to_measurements(table, chain.actuated_names, plan.sensor)).p)
+    identified = errors.robot(estimate_parameters(errors, to_measurements(table, chain.actuated_names, plan.sensor)).p)
     u = sample(plan.workspace, chain.tool_axes, FRESH, [seed, 5])
     fresh = all_feasible(errors, plan.workspace, u, "fresh").readings
     actual, predicted = (robot.measured(robot.close(fresh).pose) for robot in (truth, identified))

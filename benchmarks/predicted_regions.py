@@ -17,7 +17,7 @@ from scipy.stats import chi2
 
 from benchmarks.setup import Bench, bench, spread
 from kincal.identification.accuracy import orientation_error
-from kincal.identification.estimators import identify, register
+from kincal.identification.estimators import estimate_parameters, register
 from kincal.identification.expected import of_one_row
 from kincal.identification.measurements import Measurements, to_measurements, to_table
 from kincal.identification.poses import planned
@@ -112,7 +112,7 @@ def one(job: Job) -> dict[tuple[str, str], Row] | str:
     try:
         measured = _measured(at, case, robot, n, seed)
         registered = register(at.model, measured)
-        found = identify(at.model, measured, Identify(), registered)
+        found = estimate_parameters(at.model, measured, Identify(), registered)
         fit = Fit(np.zeros(0, dtype=np.int64), registered.p, found.p)
         own = corrected(at.model, measured, fit, kin, load_robot(case.robot).description.correct, seed)
         readings = at.sites(FRESH, [seed, 61]).readings
@@ -161,8 +161,8 @@ def _sensor(case: Case) -> Sensor:
 
 def _siblings(robot: str) -> Inherited:
     given = load_robot(robot).description
-    drawn = drawing.model(given.mechanism, Path(given.urdf))
-    return correction.siblings(DrawnRobot.of(drawn, given), given.siblings).inherited
+    drawn = drawing.model_stage(given.mechanism, Path(given.urdf))
+    return correction.siblings_stage(DrawnRobot.of(drawn, given), given.siblings).inherited
 
 
 if __name__ == "__main__":

@@ -18,7 +18,7 @@ import scipy.linalg
 from benchmarks.setup import Bench, bench, spread
 from kincal.identification.accuracy import gravity_error, orientation_error
 from kincal.identification.error_model import BuiltRobot
-from kincal.identification.estimators import identify
+from kincal.identification.estimators import estimate_parameters
 from kincal.identification.expected import Sites
 from kincal.identification.measurements import Measurements
 from kincal.urdf.errors import CalibrationError, InputError
@@ -83,7 +83,7 @@ def one(job: tuple[str, int, int]) -> Fit | str:
     measured = at.measured(robot, sites.readings, seed)
     began = time.perf_counter()
     try:
-        found = identify(at.model, measured)
+        found = estimate_parameters(at.model, measured)
     except (CalibrationError, InputError) as error:
         return f"{type(error).__name__}: {error}"
     seconds = time.perf_counter() - began

@@ -16,7 +16,7 @@ from kincal.identification.error_model import BuiltRobot, ErrorModel
 from kincal.identification.expected import Sites, feasible
 from kincal.identification.measurements import Measurements, default_channels, to_measurements, to_table
 from kincal.identification.poses import planned
-from kincal.pipeline.stages.drawing import model
+from kincal.pipeline.stages.drawing import model_stage
 from kincal.pipeline.virtual.robot import VirtualRobot, draw, measure
 from kincal.urdf.description import Channel, Sensor, VirtualErrors, Workspace, load_robot
 from kincal.urdf.kinematics import inverse
@@ -29,7 +29,7 @@ _GEOMETRIC = VirtualErrors(elastic=False, screw=False)
 def measured_robot(name: str, poses: int) -> tuple[ErrorModel, Measurements]:
     """A shipped robot, and what a virtual one with all its errors measures at its planned poses."""
     description = load_robot(name, [f"plan.poses={poses}"]).description
-    chain = model(description.mechanism, Path(description.urdf)).chain()
+    chain = model_stage(description.mechanism, Path(description.urdf)).chain()
     errors = ErrorModel.of(chain, description.actuator, description.tolerance)
     u = planned(description.workspace, chain.tool_axes, description.plan, seed=0)
     readings = errors.actuators.readings(inverse(chain, u).q[:, chain.actuated])
@@ -79,7 +79,7 @@ class Bench:
 def bench(name: str, channels: tuple[Channel, ...] | None = None) -> Bench:
     """By default what robot.toml measures, else all that can move: table rows at the sigma of [sensor], no streams."""
     description = load_robot(name).description
-    chain = model(description.mechanism, Path(description.urdf)).chain()
+    chain = model_stage(description.mechanism, Path(description.urdf)).chain()
     channels = channels or description.measure.channels or default_channels(chain.tool_axes)
     errors = ErrorModel.of(chain, description.actuator, description.tolerance)
     return Bench(errors, description.workspace, channels, description.sensor)

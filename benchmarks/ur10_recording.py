@@ -16,9 +16,9 @@ import numpy as np
 from benchmarks.setup import spread
 from kincal.identification.accuracy import score
 from kincal.identification.error_model import ErrorModel
-from kincal.identification.estimators import identify, register
+from kincal.identification.estimators import estimate_parameters, register
 from kincal.identification.measurements import Measurements, read_table, to_measurements
-from kincal.pipeline.stages.drawing import model
+from kincal.pipeline.stages.drawing import model_stage
 from kincal.urdf.description import ROBOTS, Identify, load_robot
 from kincal.urdf.errors import CalibrationError
 
@@ -70,7 +70,7 @@ def main() -> None:
 def recorded(series: str) -> tuple[ErrorModel, Measurements]:
     """The robot of a series and all its poses, at the sigmas that ur10/robot.toml gives a laser tracker."""
     description = load_robot(str(ROBOTS / "ur10" / "recorded.toml")).description
-    chain = model(description.mechanism, Path(description.urdf)).chain()
+    chain = model_stage(description.mechanism, Path(description.urdf)).chain()
     errors = ErrorModel.of(chain, description.actuator, description.tolerance)
     poses = read_table(DATA / SERIES[series], chain.actuated_names, description.measure)
     return errors, to_measurements(poses, chain.actuated_names, load_robot("ur10").description.sensor)
@@ -89,7 +89,7 @@ def split(job: tuple[str, int]) -> tuple[int, dict[str, Row | str]]:
         began = time.perf_counter()
         measured = replace(train, assumed=train.channels) if estimated else train
         try:
-            found = identify(errors, measured, settings, registered)
+            found = estimate_parameters(errors, measured, settings, registered)
             seconds = time.perf_counter() - began
             rows[name] = _row(errors, found.p, test, train, found.sigma_factors, seconds)
         except CalibrationError as error:

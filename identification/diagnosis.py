@@ -6,10 +6,7 @@ usual mistakes are tried, one at a time: a wrong unit, another order of a quater
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from dataclasses import replace
-from functools import partial
-from itertools import combinations
+from collections.abc import Callable
 
 import numpy as np
 
@@ -18,6 +15,7 @@ from kincal.identification.error_model import ErrorModel, Parameters
 from kincal.identification.estimators import Estimate, register, registration_of
 from kincal.identification.identification import HUMAN
 from kincal.identification.measurements import Measurements
+from kincal.identification.mistakes import MISTAKES
 from kincal.identification.registration import MIN_POSES
 from kincal.identification.shrinkage import N_FRAMES, Linear, standardise
 from kincal.urdf.errors import CalibrationError, InputError
@@ -31,8 +29,6 @@ _FEW_STEPS = 6
 _NOISE = 3.0  # poses that differ by less than so many sigmas excite nothing
 _HARDLY_TOLD = 2.0  # tolerances of one sigma
 FLAGGED, REFUSED = 4.0, 12.0  # tolerances that a parameter may have moved by
-
-_Mistake = tuple[str, Callable[[Measurements], Measurements]]
 
 
 def registered(model: ErrorModel, measured: Measurements, max_iterations: int) -> Estimate:
@@ -59,7 +55,8 @@ def registered(model: ErrorModel, measured: Measurements, max_iterations: int) -
 def likely_cause(model: ErrorModel, measured: Measurements, excess: float) -> str:
     """The mistakes without which the residuals are much smaller, where several explain them alike; else nothing."""
     limit = min(excess / _BETTER, _EXCESS)
-    tried = [(_excess(model, measured, change), cause) for cause, change in _mistakes(model, measured)]
+    mistakes = [mistake for kind in MISTAKES for mistake in kind(model, measured)]
+    tried = [(_excess(model, measured, mistake.undone), mistake.cause) for mistake in mistakes]
     least = min(size for size, _ in tried)
     if least < limit:
         return ", or ".join(cause for size, cause in tried if size < _ALIKE * least)
@@ -112,33 +109,6 @@ def _excess(model: ErrorModel, measured: Measurements, change: Callable | None =
         return np.inf
     data = standardise(Linear(registered.at.triangle, measured.rows), model.parameters.tolerance[:-N_FRAMES])
     return float(np.sum(registered.at.residual**2) / (measured.rows + np.sum(data.s**2)))
-
-
-def _mistakes(model: ErrorModel, measured: Measurements) -> Iterator[_Mistake]:
-    channels = sorted(named(measured.channels), key=lambda c: c.unit)  # lengths first
-    for channel in channels:
-        for how, change in channel.mistakes():
-            yield how, partial(_changed, channel.name, change)
-    for channel in channels:
-        if channel.column_unit == "rad":
-            degrees = partial(np.multiply, np.pi / 180)
-            yield f"{channel.name} is in degrees, not radians", partial(_changed, channel.name, degrees)
-    names = model.chain.actuated_names
-    for i, j in combinations(range(len(names)), 2):
-        yield f"the columns {names[i]} and {names[j]} are swapped", _swapped(i, j)
-
-
-def _changed(channel: str, change: Callable[[np.ndarray], np.ndarray], m: Measurements) -> Measurements:
-    return m.replaced(**{channel: change(m.values[channel])})
-
-
-def _swapped(i: int, j: int) -> Callable[[Measurements], Measurements]:
-    def change(m: Measurements) -> Measurements:
-        readings = m.readings.copy()
-        readings[:, [i, j]] = m.readings[:, [j, i]]
-        return replace(m, readings=readings)
-
-    return change
 
 
 def moved_far(parameters: Parameters, p: np.ndarray, std: np.ndarray) -> tuple[str, ...]:

@@ -85,7 +85,7 @@ def registration_of(model: ErrorModel, measured: Measurements, max_iterations: i
     return min(converged or solutions, key=lambda s: s.cost)
 
 
-def identify(
+def estimate_parameters(
     model: ErrorModel,
     measured: Measurements,
     settings: Identify | None = None,

@@ -14,7 +14,9 @@ from kincal.identification.identifiability import identifiability
 from kincal.identification.identification import Identification, Outlier
 from kincal.identification.measurements import Measurements
 from kincal.identification.robust_loss import blocks
+from kincal.identification.trend import drift_finding
 from kincal.urdf.description import Identify
+from kincal.urdf.errors import CalibrationError
 
 _OUTLIER = 1e-5  # the probability that a good pose looks like one
 _SURPRISE = 1e-6  # of a chi-square: less likely is a finding
@@ -43,6 +45,7 @@ def summarise(
     chi_square = float(np.sum(estimate.residual[counted] ** 2))
     freedom = float(counted.sum() * measured.rows_a_pose - estimate.effective)
     variance = np.where(estimate.unseen, np.inf, np.diag(estimate.covariance))
+    explained = _verdict(model, measured, estimate, chi_square, freedom)
     return Identification(
         names=parameters.names,
         units=parameters.units,
@@ -77,11 +80,13 @@ def summarise(
         degrees_of_freedom=freedom,
         residual_size=size,
         outliers=outliers,
-        findings=(*_verdict(chi_square, freedom), *moved_far(parameters, estimate.p, np.sqrt(variance))),
+        findings=(*explained, *_moved(model, estimate, np.sqrt(variance), explained)),
     )
 
 
-def _verdict(chi_square: float, freedom: float) -> tuple[str, ...]:
+def _verdict(
+    model: ErrorModel, measured: Measurements, estimate: Estimate, chi_square: float, freedom: float
+) -> tuple[str, ...]:
     """What the chi-square says of the model and of the sensors' sigmas."""
     if freedom < 1:
         return (
@@ -89,10 +94,21 @@ def _verdict(chi_square: float, freedom: float) -> tuple[str, ...]:
         )
     larger = float(np.sqrt(chi_square / freedom))
     if chdtrc(freedom, chi_square) < _SURPRISE:
-        return (f"geometry alone can't explain the measurements: residuals are {larger:.3g} times the sensors' sigmas",)
+        cause = drift_finding(model, measured, estimate, chi_square, freedom)
+        found = f"geometry alone can't explain the measurements: residuals are {larger:.3g} times the sensors' sigmas"
+        return (found, cause) if cause else (found,)
     if chdtr(freedom, chi_square) < _SURPRISE:
         return (f"the sensors are better than their sigmas say: residuals are {larger:.3g} times as large",)
     return ()
+
+
+def _moved(model: ErrorModel, estimate: Estimate, std: np.ndarray, explained: tuple[str, ...]) -> tuple[str, ...]:
+    """What to say of parameters that moved far. Raises CalibrationError for too far, with the likely cause if any."""
+    try:
+        return moved_far(model.parameters, estimate.p, std)
+    except CalibrationError as error:
+        causes = [finding for finding in explained if finding.startswith("likely cause")]
+        raise CalibrationError("; ".join([str(error), *causes])) from None
 
 
 def _residuals(

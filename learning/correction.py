@@ -7,7 +7,7 @@ from itertools import combinations
 
 import numpy as np
 
-from kincal.learning.units import WAVES, Units
+from kincal.learning.units import Units, Waves
 
 HELD = 0.95  # of what is to come, within the regions that are told
 MARGIN = 0.2  # of the training range: how far outside the hull the correction has faded to nothing
@@ -87,10 +87,10 @@ class Correction:
 
     def waves(self) -> list[tuple[int, float, float]]:
         """(joint, period in readings, amplitude of the output) of the periodic errors, the largest first."""
-        _, names = self.units.layout
-        pairs = self.readout[[name == WAVES for name in names]].reshape(-1, 2)
+        periodic = [wave for group in self.units.groups if isinstance(group, Waves) for wave in group.periodic]
+        pairs = self.readout[[name == Waves.name for name in self.units.layout[1]]].reshape(-1, 2)
         waves = []
-        for (joint, cycles), pair in zip(self.units.waves, pairs, strict=True):
+        for (joint, cycles), pair in zip(periodic, pairs, strict=True):
             j = int(joint)
             amplitude = self.shrinkage * self.scale[j] * float(np.hypot(*pair))
             waves.append((j, float(2 * self.units.span[j] / cycles), float(amplitude)))

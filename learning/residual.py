@@ -16,8 +16,8 @@ from scipy.special import chdtri, fdtri, stdtrit
 
 from kincal.learning.correction import HELD, Correction, Hull, Spread
 from kincal.learning.evidence import Posterior, Rows, Unseen, cross_validated, inflation, posterior
-from kincal.learning.units import INHERITED, OWN, SHARED, WAVES, Inherited, Units, range_of, shared_units
-from kincal.learning.waves import find_waves
+from kincal.learning.units import GROUPS, STRUCTURES, Inherited, Units, range_of
+from kincal.learning.units.group import Evidence
 
 _LEAST_TOLD = 1e-3  # of a prior's sigma: what poses tell less of is left to it
 _CHANCE = 0.01  # that a network which does not pay is believed
@@ -26,17 +26,6 @@ _PARTS, _REPEATS = (0.4, 0.55, 0.7, 0.85), 4  # of the learning curve
 _LEAST_POSES = 8  # of it
 _TRIMMED = 0.03  # of the poses, on either side: outliers
 _INSTRUMENTS = 0.1  # share of the noise, where nobody gave their sigmas
-STRUCTURES = {  # simple ones first: of equals the first is taken
-    "each joint its own": (OWN,),
-    "periodic": (WAVES,),
-    "all to all": (SHARED,),
-    "inherited": (INHERITED,),
-    "periodic, inherited": (WAVES, INHERITED),
-    "each joint its own, inherited": (OWN, INHERITED),
-    "each joint its own, periodic, inherited": (OWN, WAVES, INHERITED),
-    "each joint its own, all to all": (OWN, SHARED),
-    "all": (OWN, WAVES, SHARED, INHERITED),
-}
 
 
 @dataclass(frozen=True)
@@ -49,7 +38,7 @@ class Task:
     by_output: np.ndarray  # (n, m, k) d error / d delta
     sigmas_known: bool = True  # else the rows were whitened by what the model alone leaves
 
-    def told(self, basis: np.ndarray) -> Task:
+    def along(self, basis: np.ndarray) -> Task:
         """The task with the model's parameters along basis (P, r) alone."""
         return replace(self, by_model=self.by_model @ basis)
 
@@ -61,21 +50,22 @@ def fit_correction(
 
     folds: poses held out in turn. Of the structures the one with the least error in cross-validation is taken.
     """
-    basis = _told_apart(task)
-    seen = task.told(basis)
-    units = Units(*range_of(task.x), own, np.zeros((0, 2)), shared_units(task.x.shape[1], shared, seed), inherited)
-    model = _rows(seen, _only(units, ()), np.ones(task.x.shape[1]))
+    basis = _determined(task)
+    seen = task.along(basis)
+    units = Units(*range_of(task.x), () if inherited is None else (inherited,))
+    model = _rows(seen, units.only(()), np.ones(task.x.shape[1]))
     modelled, alone = cross_validated(model, folds)
     # the least outputs that explain what the model leaves set their scale
     needed = np.linalg.pinv(task.by_output) @ model.left(modelled.mean)[..., None]
     scale = np.maximum(np.sqrt(np.mean(needed[..., 0] ** 2, axis=0)), 1e-12)
-    known = _rows(seen, _only(units, (INHERITED,)), scale)
-    waves = find_waves(units.scaled(task.x), task.error, known.columns, task.by_output * scale)
-    everything = replace(units, waves=waves)
+    explained, gain = _rows(seen, units, scale).columns, task.by_output * scale
+    shown = Evidence(units.scaled(task.x), task.error, explained, gain, inherited, own, shared, seed)
+    made = (kind.of(shown) for kind in GROUPS)
+    everything = replace(units, groups=tuple(group for group in made if group is not None))
     losses, tried = {"": alone.loss}, []
-    for name, groups in STRUCTURES.items():
-        units = _only(everything, groups)
-        if set(groups) <= set(units.layout[1]):  # else it is another structure again
+    for name, kinds in STRUCTURES.items():
+        units = everything.only(kinds)
+        if len(units.groups) == len(kinds):  # else it is another structure again
             found, unseen = cross_validated(_rows(seen, units, scale), folds)
             losses[name] = unseen.loss
             tried.append((unseen.loss, len(tried), name, units, found, unseen))
@@ -101,8 +91,8 @@ def fit_correction(
     return correction, basis @ found.mean[: basis.shape[1]]
 
 
-def _told_apart(task: Task) -> np.ndarray:
-    """(P, r) orthonormal: the model's directions that the poses tell anything of; on the others the priors stay."""
+def _determined(task: Task) -> np.ndarray:
+    """(P, r) orthonormal: the model's directions that the poses determine; on the others the priors stay."""
     flat = task.by_model.reshape(-1, task.by_model.shape[2])
     values, vectors = np.linalg.eigh(flat.T @ flat)
     return vectors[:, values > _LEAST_TOLD**2]
@@ -120,8 +110,8 @@ def learning_curve(task: Task, correction: Correction, seed: int) -> np.ndarray:
     Of the model alone and of the model with the correction, trained on parts of the poses and tried on the others.
     """
     basis, (n, m) = correction.refined.basis, task.error.shape
-    seen = task.told(basis)
-    model, refined = (_rows(seen, units, correction.scale) for units in (_only(correction.units, ()), correction.units))
+    seen = task.along(basis)
+    model, refined = (_rows(seen, units, correction.scale) for units in (correction.units.only(()), correction.units))
     near = [posterior(rows.sums(slice(None)), rows.group) for rows in (model, refined)]
     noise = 1.0 if task.sigmas_known else min(near[1].noise, 1.0)
     random, rows_of_curve = np.random.default_rng([seed, 14]), []
@@ -147,19 +137,9 @@ def _trimmed_mean(square: np.ndarray) -> float:
 def refit(correction: Correction, task: Task) -> tuple[Correction, np.ndarray]:
     """The same correction at another linearisation of its task."""
     basis = correction.refined.basis
-    rows = _rows(task.told(basis), correction.units, correction.scale)
+    rows = _rows(task.along(basis), correction.units, correction.scale)
     mean = posterior(rows.sums(slice(None)), rows.group).mean
     return replace(correction, readout=mean[basis.shape[1] :]), basis @ mean[: basis.shape[1]]
-
-
-def _only(units: Units, groups: tuple[str, ...]) -> Units:
-    return replace(
-        units,
-        own=units.own if OWN in groups else 0,
-        waves=units.waves if WAVES in groups else units.waves[:0],
-        shared=units.shared if SHARED in groups else units.shared[:0],
-        inherited=units.inherited if INHERITED in groups else None,
-    )
 
 
 def _rows(task: Task, units: Units, scale: np.ndarray) -> Rows:

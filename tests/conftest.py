@@ -19,6 +19,8 @@ from hypothesis import settings
 
 from kincal.identification.error_model import ErrorModel
 from kincal.identification.measurements import Measurements
+from kincal.pipeline.compensator.goal import WHOLE
+from kincal.pipeline.compensator.solvers import Solvers
 from kincal.urdf.closed_chain import ClosedChain, load_chain
 from kincal.urdf.description import ROBOTS, RobotDescription, load_robot
 from kincal.urdf.kinematics import at_home, inverse
@@ -67,6 +69,11 @@ class LoadedRobot:
         if target is not None:
             p[-6:] = target.vector()
         return p
+
+    def command(self, method, desired: Motion, channels: tuple[str, ...] = WHOLE) -> tuple[np.ndarray, np.ndarray]:
+        """Readings (n, n_actuated) by which `method` reaches desired poses (n), and which it reaches: (n,)."""
+        commanded = Solvers(self.description.workspace).of(method, channels).commands(desired)
+        return commanded.readings, commanded.reached
 
     def poses(self, p: np.ndarray, readings: np.ndarray) -> Motion:
         """Measured-like poses (n) of the robot with parameters p, its loops closed."""

@@ -247,6 +247,12 @@ class Measure(_Table):
             raise ValueError("commands and table both say the joint values; give either")
         if self.commands is not None and self.streams is None:
             raise ValueError("commands need the stream that was logged beside them: set measure.streams")
+        measured = next((key for key in ("table", "commands", "streams") if getattr(self, key) is not None), None)
+        if self.source == "virtual" and measured is not None:
+            raise ValueError(
+                f'source = "virtual" and {measured} = "{getattr(self, measured).name}": a virtual robot measures itself '
+                f"and would ignore your measurements. Delete source to use them, or delete {measured} to simulate"
+            )
         if self.source == "files" and self.table is None and self.commands is None:
             raise ValueError('source = "files" needs a table: set measure.table to a CSV or Parquet file')
         if self.streams is not None and self.table is None and self.commands is None:
@@ -439,7 +445,7 @@ class Setting:
 PATHS = (("urdf",), ("measure", "table"), ("measure", "streams"), ("measure", "commands"))
 
 
-_MEASURED = (("measure", "table"), ("measure", "commands"))
+_MEASURED, _SOURCE = (("measure", "table"), ("measure", "commands")), ("measure", "source")
 
 
 def load_robot(robot: str, overrides: Sequence[str] = ()) -> Robot:
@@ -457,14 +463,24 @@ def described(file: Path, settings: Iterable[Setting]) -> RobotDescription:
     content = read_toml(file)
     _resolve_paths(content, file.parent)
     origin: dict[tuple[str, ...], str] = {}
-    for setting in (settings := tuple(settings)):
+    settings = tuple(settings)
+    _one_source(content, settings)
+    for setting in settings:
         _put(content, setting)
         origin[setting.keys] = setting.said
-        if setting.keys in _MEASURED and ("measure", "source") not in (other.keys for other in settings):
-            _put(
-                content, Setting(("measure", "source"), "files", setting.said)
-            )  # a drawing is mostly a virtual robot's
     return validate(RobotDescription, content, str(file), origin)
+
+
+def _one_source(content: dict[str, Any], settings: tuple[Setting, ...]) -> None:
+    """A setting that names measurements, or a virtual robot, goes over what robot.toml says of the other."""
+    keys, measure = {setting.keys for setting in settings}, content.get("measure")
+    if not isinstance(measure, dict):
+        return
+    if keys & set(_MEASURED) and _SOURCE not in keys:
+        measure.pop("source", None)
+    elif any(setting.keys == _SOURCE and setting.value == "virtual" for setting in settings):
+        for _, key in (*_MEASURED, ("measure", "streams")):
+            measure.pop(key, None)
 
 
 def read_columns(file: Path) -> dict[str, Column]:

@@ -1,4 +1,4 @@
-"""Sensor classes by their data sheets' typical figures. docs/attitude.md names the families they are taken from."""
+"""Sensor classes by their data sheets' typical figures; docs/explanation/attitude.md names the families."""
 
 from __future__ import annotations
 

@@ -12,7 +12,8 @@ import numpy as np
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
 from kincal.identification.channels import all_turns
-from kincal.pipeline.compensator.compensator import LONGEST, ROUGH, SETTLED, SLACK, SURE, Compensator
+from kincal.pipeline.compensator.compensator import SLACK, Compensator
+from kincal.pipeline.compensator.solver import LONGEST, ROUGH, SETTLED, SURE
 from kincal.pipeline.methods.predictors import HybridMethod
 from kincal.urdf.workspace import AXES
 
@@ -27,8 +28,9 @@ def code_name(robot: str) -> str:
 
 def sources(compensator: Compensator, name: str, remarks: Sequence[str]) -> dict[str, str]:
     """{file name: text} of the code, its header and a test program; remarks: where it comes from, in lines."""
-    robot, method = compensator.robot, compensator.method
-    chain, steps = robot.chain, compensator.steps
+    solver = compensator.solver
+    robot, method, steps = solver.robot, solver.method, solver.steps
+    chain = robot.chain
     values = {
         "name": name,
         "NAME": name.upper(),
@@ -45,8 +47,8 @@ def sources(compensator: Compensator, name: str, remarks: Sequence[str]) -> dict
         "passive_joints": chain.passive.tolist(),
         "gain": _numbers(robot.actuators.gain),
         "zero": _numbers(robot.actuators.zero),
-        "home": _numbers(compensator.home),
-        "apart": _numbers(compensator.apart),
+        "home": _numbers(solver.home),
+        "apart": _numbers(solver.apart),
         "lower": _numbers(np.maximum(chain.lower, -_NO_LIMIT)),
         "upper": _numbers(np.minimum(chain.upper, _NO_LIMIT)),
         "workspace": [f"{{{', '.join(_numbers(ends))}}}" for ends in compensator.workspace],
@@ -82,10 +84,10 @@ def _comment(text: str) -> list[str]:
 
 def _what_counts(compensator: Compensator) -> list[str]:
     """Which parts of a desired pose are looked at."""
-    axes = compensator.robot.chain.tool_axes
-    turns, moves = all_turns(compensator.asked), "position" in compensator.asked
+    goal = compensator.solver.goal
+    axes, turns, moves = goal.robot.chain.tool_axes, all_turns(goal.asked), "position" in goal.asked
     heading = {"tilt": "tilt alone, whatever the heading", "yaw": "heading alone"}
-    orientation = "orientation" if turns else next((heading[c] for c in heading if c in compensator.asked), "")
+    orientation = "orientation" if turns else next((heading[c] for c in heading if c in goal.asked), "")
     counts = " and ".join([orientation] * bool(orientation) + ["position"] * moves)
     return [
         f"What counts: {counts}. It is met on the tool's axes {', '.join(AXES[a] for a in axes)}"

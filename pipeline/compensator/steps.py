@@ -1,12 +1,11 @@
 """One step of all that a compensator solves, as CasADi functions of scalars: for one pose, for generated code.
 
-`inverse` and `hybrid` are Newton steps of what `Method.command` solves, `forward` and `refined` of loop closures. All
-are exact but for one: a hybrid step takes the correction for constant, so each gains as many digits as it is flat.
+`inverse` and `hybrid` are Newton steps towards a desired pose, `forward` and `refined` of loop closures. All are exact
+but for one: a hybrid step takes the correction for constant, so each gains as many digits as it is flat.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import casadi as ca
@@ -25,7 +24,8 @@ from kincal.identification.symbolic_chain import (
     tool_rates,
 )
 from kincal.learning.symbolic import delta, share
-from kincal.pipeline.compensator.goal import constant, coordinates, in_base, measured, missed, rotation_of
+from kincal.pipeline.compensator.functions import function
+from kincal.pipeline.compensator.goal import Goal, constant, coordinates, in_base, measured, rotation_of, symbols
 from kincal.pipeline.methods.predictors import HybridMethod, ModelMethod
 from kincal.urdf.rigid_motion import Motion
 
@@ -77,19 +77,19 @@ class _Walked:
         return _Walked(robot, q, loops, rates, tool_rates(chain, frames), tool, measured(robot, tool))
 
 
-def steps(method: ModelMethod | HybridMethod, asked: frozenset[str], samples: np.ndarray) -> Steps:
-    """asked: what counts of desired poses, as in `Goal`; samples: (m, n_joints), configurations all over the workspace.
+def steps(method: ModelMethod | HybridMethod, goal: Goal, samples: np.ndarray) -> Steps:
+    """goal: the parts of desired poses that count; samples: (m, n_joints), configurations all over the workspace.
 
     The samples decide in which order linear systems are solved.
     """
     walked = _Walked.of(method.geometric.robot if isinstance(method, HybridMethod) else method.robot)
     position, quaternion = ca.SX.sym("position", 3), ca.SX.sym("quaternion", 4)
-    desired, seen = (rotation_of(quaternion), position), _symbols()
+    desired, seen = (rotation_of(quaternion), position), symbols()
     geometric = Steps(
-        _function("inverse", [walked.q, position, quaternion], _inverse(walked, asked, desired, _STILL, samples)),
-        _function("forward", [walked.q], _closing(walked, samples)),
-        _function("pose", [walked.q], walked.predicted),
-        _function("coordinates", list(seen), [coordinates(walked.robot.chain, in_base(walked.robot, seen))]),
+        function("inverse", [walked.q, position, quaternion], _inverse(walked, goal, desired, _STILL, samples)),
+        function("forward", [walked.q], _closing(walked, samples)),
+        function("pose", [walked.q], walked.predicted),
+        function("coordinates", list(seen), [coordinates(walked.robot.chain, in_base(walked.robot, seen))]),
     )
     if not isinstance(method, HybridMethod):
         return geometric
@@ -98,43 +98,39 @@ def steps(method: ModelMethod | HybridMethod, asked: frozenset[str], samples: np
     shift, apart = ca.SX.sym("delta", readings.shape[0]), ca.SX.sym("apart", len(walked.robot.chain.passive))
     step, branch, closed = _closed_beside(walked, refined, shift, apart, samples)
     further = _further(*closed, part)
-    solved = [*_inverse(walked, asked, desired, further, samples), step, branch]
+    solved = [*_inverse(walked, goal, desired, further, samples), step, branch]
     return replace(
         geometric,
-        network=_function("network", [readings], [delta(correction, readings), share(correction, readings)]),
-        hybrid=_function("hybrid", [walked.q, apart, shift, part, position, quaternion], solved),
-        refined=_function("refined", [refined.q], _closing(refined, samples)),
-        blended=_function("blended", [walked.q, refined.q, part], _blended(walked.predicted, refined.predicted, part)),
+        network=function("network", [readings], [delta(correction, readings), share(correction, readings)]),
+        hybrid=function("hybrid", [walked.q, apart, shift, part, position, quaternion], solved),
+        refined=function("refined", [refined.q], _closing(refined, samples)),
+        blended=function("blended", [walked.q, refined.q, part], _blended(walked.predicted, refined.predicted, part)),
     )
 
 
 def _inverse(
-    walked: _Walked, asked: frozenset[str], desired: Placement, further: Placement, samples: np.ndarray
+    walked: _Walked, goal: Goal, desired: Placement, further: Placement, samples: np.ndarray
 ) -> tuple[ca.SX, ca.SX]:
     """Newton's step of inverse kinematics, and its branch.
 
     further: by how much the prediction is ahead of the model's, taken for constant (see `missed`).
     """
-    error, jacobian = _equations(walked, asked, desired, further)
-    _, where_met = _equations(walked, asked, walked.predicted, _STILL)
+    error, jacobian = _equations(walked, goal, desired, further)
+    _, where_met = _equations(walked, goal, walked.predicted, _STILL)
     return eliminate(jacobian, error, _values(walked.q, where_met, samples))
 
 
-def _equations(walked: _Walked, asked: frozenset[str], desired: Placement, further: Placement) -> tuple[ca.SX, ca.SX]:
+def _equations(walked: _Walked, goal: Goal, desired: Placement, further: Placement) -> tuple[ca.SX, ca.SX]:
     """(n_joints,): open loops and what is missed of the goal; (n_joints, n_joints): how joints change them."""
-    tool, goal, ahead = _symbols(), _symbols(), _symbols()
-    error = missed(walked.robot, asked, tool, goal, ahead)
+    tool, aim, ahead = symbols(), symbols(), symbols()
+    error = goal.missed(tool, aim, ahead)
     small = ca.SX.sym("small", 6)
     moved = ((ca.SX.eye(3) + ca.skew(small[3:])) @ tool[0], tool[1] + small[:3])
-    rates = ca.jacobian(missed(walked.robot, asked, moved, goal, ahead), small)
+    rates = ca.jacobian(goal.missed(moved, aim, ahead), small)
     rates = ca.substitute([rates], [small], [ca.SX.zeros(6)])[0]
     values = [ca.densify(part) for part in (*walked.tool, *desired, *further)]
-    error, rates = ca.substitute([error, rates], [*tool, *goal, *ahead], values)
+    error, rates = ca.substitute([error, rates], [*tool, *aim, *ahead], values)
     return ca.vertcat(walked.loops, error), ca.vertcat(walked.loop_rates, rates @ walked.tool_rates)
-
-
-def _symbols() -> Placement:
-    return ca.SX.sym("rotation", 3, 3), ca.SX.sym("translation", 3)
 
 
 def _closing(walked: _Walked, samples: np.ndarray) -> tuple[ca.SX, ca.SX]:
@@ -181,9 +177,5 @@ def _blended(alone: Placement, corrected: Placement, part: ca.SX) -> Placement:
 
 def _values(q: ca.SX, matrix: ca.SX, samples: np.ndarray) -> np.ndarray:
     """(m, ..): a matrix of joints at samples (m, n_joints)."""
-    function = ca.Function("matrix", [q], [matrix])
-    return np.array([function(sample).full() for sample in samples])
-
-
-def _function(name: str, inputs: list[ca.SX], outputs: Sequence[ca.SX]) -> ca.Function:
-    return ca.Function(name, inputs, ca.cse([ca.densify(ca.SX(o)) for o in outputs]))
+    evaluate = ca.Function("matrix", [q], [matrix])
+    return np.array([evaluate(sample).full() for sample in samples])

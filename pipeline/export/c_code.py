@@ -18,6 +18,7 @@ from kincal.identification.measurements import quaternions
 from kincal.pipeline.compensator.code import code_name, sources
 from kincal.pipeline.compensator.compensator import Compensator
 from kincal.pipeline.compensator.library import Library
+from kincal.pipeline.compensator.solver import ModelSolver
 from kincal.pipeline.export.identified import TOLERANCE
 from kincal.pipeline.export.target import MADE_HERE, beside, check_folder_free
 from kincal.pipeline.methods.calibrated import CalibratedRobot
@@ -86,7 +87,7 @@ def export(
     assert isinstance(chosen, ModelMethod | HybridMethod)
     compensator = Compensator.of(chosen, robot.channels, description.workspace)
     files = sources(compensator, name, _said(session, robot, chosen, method))
-    agreed, compiler = _checked(compensator, robot.channels, description.workspace, files, name)
+    agreed, compiler = _checked(compensator.solver, description.workspace, files, name)
     with beside(output) as temporary:
         for file, text in files.items():
             (temporary / file).write_text(text, encoding="utf-8")
@@ -117,33 +118,32 @@ def _said(session: Run, robot: CalibratedRobot, method: ModelMethod | HybridMeth
 
 
 def _checked(
-    compensator: Compensator, channels: tuple[str, ...], workspace: Workspace, files: Mapping[str, str], name: str
+    solver: ModelSolver, workspace: Workspace, files: Mapping[str, str], name: str
 ) -> tuple[Agreement, str | None]:
     """Compiled and compared all over the workspace; with the compiler's command."""
-    chain, compiler = compensator.robot.chain, find_compiler()
+    chain, compiler = solver.robot.chain, find_compiler()
     u = sample(workspace, chain.tool_axes, _CHECKED, [0, 43])
     if compiler is None:
-        return agreement(compensator, channels, u, None), None
+        return agreement(solver, u, None), None
     counts = (len(chain.actuated), chain.n_joints, len(chain.passive))
     with tempfile.TemporaryDirectory() as folder:
         library = Library.of(files, name, counts, compiler, Path(folder))
-        return agreement(compensator, channels, u, library), compiler
+        return agreement(solver, u, library), compiler
 
 
-def agreement(compensator: Compensator, channels: tuple[str, ...], u: np.ndarray, library: Library | None) -> Agreement:
-    """At tool coordinates u: (n, 6). Raises CalibrationError where the code does not say what the method says.
+def agreement(solver: ModelSolver, u: np.ndarray, library: Library | None) -> Agreement:
+    """At tool coordinates u: (n, 6). Raises CalibrationError where the code does not say what `kincal compensate` says.
 
-    library: None: what CasADi says of the code's steps is compared.
+    library: None: the commands are compared with what the method predicts there.
     """
-    method, robot = compensator.method, compensator.robot
+    method, robot = solver.method, solver.robot
     configurations = inverse(robot.chain, u)
     readings = robot.actuators.readings(configurations.q[configurations.closed][:, robot.chain.actuated])
     desired = method.predict(readings)
-    expected, reached = method.command(desired, channels)
-    prediction = None
+    commanded = solver.commands(desired)
+    expected, reached, prediction = commanded.readings, commanded.reached, None
     if library is None:
-        commanded = compensator.commands(desired)
-        got, by_code = commanded.readings, commanded.reached
+        got, by_code = readings, reached
     else:
         answers, poses = library.commands(desired), library.predictions(readings)
         got, by_code = answers.values, answers.found & poses.found

@@ -76,7 +76,7 @@ def write_folder(calibrated: IdentifiedRobot, folder: Path, final: Path) -> Expo
         (folder / "robot.toml").write_bytes(text.encode())
         reloaded = load_robot(str(folder / "robot.toml")).description
         try:
-            model = drawing.model(reloaded.mechanism, reloaded.urdf)
+            model = drawing.model_stage(reloaded.mechanism, reloaded.urdf)
             break
         except InputError as error:
             refusal = refusal or error

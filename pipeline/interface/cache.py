@@ -31,7 +31,7 @@ class Collected:
 
     @property
     def counts(self) -> dict[str, int]:
-        """{kind: how many}"""
+        """Count what was freed: {kind: how many}."""
         return dict(sorted(Counter(one.kind for one in self.freed).items()))
 
     @property

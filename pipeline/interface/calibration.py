@@ -23,6 +23,7 @@ from kincal.urdf.errors import InputError
 if TYPE_CHECKING:
     import pandas as pd
 
+    from kincal.pipeline.compensator.solvers import Solvers
     from kincal.pipeline.export.formats import Export
     from kincal.pipeline.interface.campaign import Foresight
     from kincal.pipeline.interface.fit import Fit
@@ -48,6 +49,7 @@ class Calibration:
         self._session = session
         self._results: dict[str, Any] = {}  # {stage: its result}, of those that were asked for
         self._calibrated: dict[str | None, CalibratedRobot] = {}
+        self._solvers: Solvers | None = None  # of the methods that were commanded
 
     @classmethod
     def open(
@@ -210,11 +212,13 @@ class Calibration:
         import numpy as np
         import pandas as pd
 
-        from kincal.pipeline.methods.desired import commands_of
+        from kincal.pipeline.compensator.desired import commands_of
+        from kincal.pipeline.compensator.solvers import Solvers
 
         calibrated = self._with(method)
         raw, source = raw_table(desired, self.robot.description.measure, "desired")
-        commands = commands_of(calibrated, method, raw, source)
+        self._solvers = self._solvers or Solvers(self.robot.description.workspace)
+        commands = commands_of(calibrated, self._solvers, method, raw, source)
         if strict:
             commands.check()
         reached = np.array([not obstacle for obstacle in commands.obstacles])
@@ -424,7 +428,7 @@ class Calibration:
 
 
 def export_formats() -> dict[str, str]:
-    """{format: what it writes}"""
+    """Name each export format, and what it writes: {format: text}."""
     from kincal.pipeline.export.formats import FORMATS
 
     return {name: format.help for name, format in FORMATS.items()}
@@ -484,7 +488,6 @@ def _measured_by(data: Data, session: Run) -> Run:
 
     The table is kept in the store, so that a cached result can be traced to it and found again.
     """
-
     (model,) = session.until("model")
     table = measured_table(session.robot, model, data).table
     content: bytes = table.to_parquet(index=False)

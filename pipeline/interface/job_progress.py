@@ -59,6 +59,7 @@ class JobProgress:
             self._bar.stop()
 
     def __call__(self, task: Task, outcome: Outcome | Failure | None) -> None:
+        """Show a task that begins (outcome: None) or has ended."""
         if outcome is None:
             label = self._labels[task.job] if task.final else _beginning(task)
             self._running[task] = self._bar.add_task(f"  {label}", total=None, now="")
@@ -110,6 +111,7 @@ class JobLog:
         pass
 
     def __call__(self, task: Task, outcome: Outcome | Failure | None) -> None:
+        """Report a job that has ended."""
         if not task.final or outcome is None:
             return
         self._done += 1

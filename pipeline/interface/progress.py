@@ -52,6 +52,7 @@ class StageProgress:
         self._shown: set[str] = set()  # stages: that one is still cached need not be repeated
 
     def __call__(self, event: Event) -> None:
+        """Show what a stage does."""
         why = f"  ({event.why})" if event.why else ""
         label = f"{self._robot} {event.stage:<9}"
         if event.state == "running":

@@ -42,6 +42,7 @@ def opened(
 
 
 def temporary_folder() -> Path:
+    """Make a temporary folder; the caller removes it."""
     import tempfile
 
     return Path(tempfile.mkdtemp(prefix="kincal-"))

@@ -10,7 +10,6 @@ from scipy.optimize import least_squares
 from kincal.identification.error_model import pose_residual
 from kincal.identification.measurements import Measurements
 from kincal.identification.registration import MIN_POSES, instrument_starts
-from kincal.pipeline.methods.goal import WHOLE
 from kincal.pipeline.methods.predictors import Method
 from kincal.urdf.errors import InputError, NotConvergedError
 from kincal.urdf.rigid_motion import Motion
@@ -26,11 +25,6 @@ class Moved:
 
     def predict(self, readings: np.ndarray) -> Motion:
         return self.instrument @ self.method.predict(readings + self.shift)
-
-    def command(self, desired: Motion, channels: tuple[str, ...] = WHOLE) -> tuple[np.ndarray, np.ndarray]:
-        """For tilt alone an instrument that stands tilted otherwise needs the desired heading, too: it is believed."""
-        readings, reached = self.method.command(self.instrument.inverse() @ desired, channels)
-        return readings - self.shift, reached
 
 
 def refitted(method: Method, measured: Measurements, register: bool, rehome: bool) -> Moved:

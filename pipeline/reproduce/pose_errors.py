@@ -28,7 +28,7 @@ class PoseErrors:
 
 def errors_of(job: Job) -> tuple[PoseErrors, tuple[str, str]]:
     """Of a job whose stages are in the store, made there where they are not; and (stage, key) of their artifact."""
-    run, stage = run_of(job), stage_of(pose_errors, ("numpy", "scipy"))
+    run, stage = run_of(job), stage_of("pose_errors", pose_errors, ("numpy", "scipy"))
     errors = run.beyond(stage)
     return errors, (stage.name, run.entries[stage.name].manifest["key"])
 

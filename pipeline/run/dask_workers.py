@@ -158,7 +158,7 @@ def _facts(store: Path) -> dict[str, str]:
     """{what: its digest or version}: of the code as this process has imported it, and of the libraries."""
     facts, libraries = {}, {"distributed"}
     for stage in all_stages().values():
-        fingerprint = own_code(store).fingerprint(stage.function.__module__, stage.name)
+        fingerprint = own_code(store).fingerprint(*stage.place)
         facts |= {f"code, {name}": unit_digest for name, unit_digest in fingerprint.items()}
         libraries |= set(stage.libraries)
     facts |= {f"library, {name}": ".".join(version(name).split(".")[:2]) for name in sorted(libraries)}

@@ -145,7 +145,7 @@ class Run:
 
     def _check_unchanged(self, stage: Stage, parts: Mapping[str, Any]) -> None:
         """What the stage has read is what its key was made of. Raises InputError."""
-        edited = self.code.edited(stage.function.__module__, stage.name)
+        edited = self.code.edited(*stage.place)
         changed = f"the source of {edited} changed" if edited else change(parts, self.key_parts(stage))
         if changed is not None:
             raise InputError(f"{stage.name}: {changed} while it ran; nothing was stored: run it again")
@@ -182,7 +182,7 @@ class Run:
                 table[key] = "(file)"
         return {
             "stage": stage.name,
-            "code": self.code.fingerprint(stage.function.__module__, stage.name),
+            "code": self.code.fingerprint(*stage.place),
             "settings": settings,
             "files": files,
             "inputs": {source: self.entries[source].digest for source in stage.inputs.values()},

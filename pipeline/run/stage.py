@@ -26,6 +26,11 @@ class Stage:
     bundles: Mapping[str, type[Bundle]]  # {parameter: inputs and settings that come together}
 
     @property
+    def place(self) -> tuple[str, str]:
+        """The function's module and name."""
+        return self.function.__module__, self.function.__name__
+
+    @property
     def result(self) -> type:
         return self.function.__globals__[self.function.__annotations__["return"]]
 
@@ -41,22 +46,22 @@ class Stage:
         return self.function(**given)
 
 
-def stage_of(function: Callable[..., Any], libraries: tuple[str, ...]) -> Stage:
+def stage_of(name: str, function: Callable[..., Any], libraries: tuple[str, ...]) -> Stage:
     """A function of the stages' results, of settings, and of bundles of both."""
-    producer = {f.__annotations__["return"]: f.__name__ for f in STAGES}  # in running order
+    producer = {f.__annotations__["return"]: stage for stage, (f, _) in STAGES.items()}  # in running order
     kinds: dict[str, str] = {}
     bundles: dict[str, type[Bundle]] = {}
-    for name, parameter in inspect.signature(function).parameters.items():
+    for argument, parameter in inspect.signature(function).parameters.items():
         bundle = function.__globals__.get(parameter.annotation)
         if isinstance(bundle, type) and issubclass(bundle, Bundle):
-            bundles[name] = bundle
+            bundles[argument] = bundle
             kinds |= _kinds_of(bundle)
         else:
-            kinds[name] = parameter.annotation
-    names = {kind: name for name, kind in kinds.items()}
-    inputs = {names[kind]: stage for kind, stage in producer.items() if kind in names}
-    settings = tuple(name for name in kinds if name not in inputs)
-    return Stage(function.__name__, function, inputs, settings, libraries, bundles)
+            kinds[argument] = parameter.annotation
+    arguments = {kind: argument for argument, kind in kinds.items()}
+    inputs = {arguments[kind]: stage for kind, stage in producer.items() if kind in arguments}
+    settings = tuple(argument for argument in kinds if argument not in inputs)
+    return Stage(name, function, inputs, settings, libraries, bundles)
 
 
 def _kinds_of(bundle: type[Bundle]) -> dict[str, str]:
@@ -66,7 +71,7 @@ def _kinds_of(bundle: type[Bundle]) -> dict[str, str]:
 
 @lru_cache(maxsize=1)
 def all_stages() -> dict[str, Stage]:
-    return {function.__name__: stage_of(function, libraries) for function, libraries in STAGES.items()}
+    return {name: stage_of(name, *of_stage) for name, of_stage in STAGES.items()}
 
 
 @lru_cache

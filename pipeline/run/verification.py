@@ -172,7 +172,7 @@ def _derived(session: Run, entries: Mapping[str, Entry]) -> Derived:
     for name in stage.settings:
         given[name] = TypeAdapter(hints[name]).validate_json(json.dumps(stored.manifest["parts"]["settings"][name]))
     derived, before = encode(stage.call(given)), session.store.files(stored)
-    code = session.code.fingerprint(stage.function.__module__, stage.name)
+    code = session.code.fingerprint(*stage.place)
     changed = code != stored.manifest["parts"]["code"]
     if derived == before:
         return Derived(True, 0.0, "", changed)

@@ -190,7 +190,7 @@ def keep_freed_memory() -> None:
     """What one array leaves is there for the next, where the C library is glibc.
 
     Else threads, and all of a Dask worker (it comes with MALLOC_TRIM_THRESHOLD_=65536), give it back to the kernel and
-    fetch it again page by page: docs/fleet.md says how long that takes.
+    fetch it again page by page: docs/how-to/fleet.md says how long that takes.
     """
     mallopt = getattr(ctypes.CDLL(None), "mallopt", None) if os.name == "posix" else None
     if mallopt is not None:

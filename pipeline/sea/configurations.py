@@ -13,8 +13,8 @@ import numpy as np
 from scipy.constants import g
 
 from kincal.identification.channels import parts
-from kincal.pipeline.methods.commands import attempt
-from kincal.pipeline.methods.goal import Goal
+from kincal.pipeline.compensator.commands import attempt
+from kincal.pipeline.compensator.goal import filled
 from kincal.pipeline.sea.trial import Platform, deck_error
 from kincal.pipeline.virtual.robot import STANDING
 
@@ -37,11 +37,11 @@ def configurations(platform: Platform, readings: np.ndarray, test: np.ndarray) -
     model, channels = platform.model, platform.channels
     actual = platform.actual.pose(readings, platform.actual.after_campaign(readings))
     drawn = platform.methods["nominal"].predict(readings)
-    desired = Goal(platform.actual.robot, actual, parts(channels)).filled(drawn)
+    desired = filled(parts(channels), actual, drawn)
     force = g * desired.rotation[:, :, 2]  # the deck is level, the ship is not
     errors, tilted = {}, {}
     for name, method in platform.methods.items():
-        tried = attempt(method, desired, model.chain, model.actuators, channels)
+        tried = attempt(platform.solvers.of(method, channels), desired, model.chain, model.actuators)
         rows = np.flatnonzero(tried.good(model.chain, platform.description.workspace))
         for errors_there, load in ((errors, STANDING), (tilted, force[rows])):
             poses = platform.poses(tried.readings[rows], load)

@@ -9,7 +9,7 @@ frame is the ship's.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Annotated
 
@@ -22,10 +22,9 @@ from kincal.identification.attitude.presets import SensorPreset, preset
 from kincal.identification.attitude.settings import AttitudeSettings, InnovationStatistics
 from kincal.identification.attitude.smoother import smooth_attitude
 from kincal.identification.channels import all_turns, parts
-from kincal.pipeline.compensator.compensator import Compensator
-from kincal.pipeline.methods.commands import Attempt, attempt
-from kincal.pipeline.methods.goal import WHOLE
-from kincal.pipeline.methods.predictors import HybridMethod, Method, ModelMethod
+from kincal.pipeline.compensator.commands import Attempt, attempt
+from kincal.pipeline.compensator.solvers import Solvers
+from kincal.pipeline.methods.predictors import Method
 from kincal.pipeline.results import RAW
 from kincal.pipeline.sea.control import ahead, followed, kept, lag, late, levelling
 from kincal.pipeline.sea.instruments import sensed
@@ -103,7 +102,6 @@ class Platform:
     actual: VirtualRobot
     methods: Mapping[str, Method]  # the raw nominal robot first
     channels: tuple[str, ...]
-    _compensators: dict[int, Method] = field(default_factory=dict, repr=False, compare=False)  # {id of a method: its}
 
     @property
     def turns(self) -> bool:
@@ -127,6 +125,11 @@ class Platform:
             raise InputError(
                 f"{name}: measured are {measured}; a sea trial needs tilt or orientation to have been measured"
             )
+
+    @cached_property
+    def solvers(self) -> Solvers:
+        """Of the methods."""
+        return Solvers(self.description.workspace)
 
     @cached_property
     def home(self) -> Motion:
@@ -172,35 +175,8 @@ class Platform:
 
     def _attempt(self, method: Method, rotation: np.ndarray) -> Attempt:
         desired = Motion(rotation, np.broadcast_to(self.home.translation, (len(rotation), 3)))
-        return attempt(
-            self._quick(method, len(rotation)), desired, self.model.chain, self.model.actuators, self.channels
-        )
-
-    def _quick(self, method: Method, n: int) -> Method:
-        """The same commands at control rate, of methods that are models; n: samples at once, of the first call."""
-        if not isinstance(method, ModelMethod | HybridMethod):
-            return method
-        key = id(method)
-        if key not in self._compensators:
-            made = Compensator.of(method, self.channels, self.description.workspace)
-            self._compensators[key] = _AtControlRate(method, made.compiled() if n >= _PAYS else made)
-        return self._compensators[key]
-
-
-@dataclass(frozen=True)
-class _AtControlRate:
-    """A method that is commanded by its compensator."""
-
-    method: Method
-    compensator: Compensator
-
-    def predict(self, readings: np.ndarray) -> Motion:
-        return self.method.predict(readings)
-
-    def command(self, desired: Motion, channels: tuple[str, ...] = WHOLE) -> tuple[np.ndarray, np.ndarray]:
-        """By the channels that the compensator was made for."""
-        commands = self.compensator.commands(desired)
-        return commands.readings, commands.reached
+        solver = self.solvers.of(method, self.channels, compiled=len(rotation) >= _PAYS)
+        return attempt(solver, desired, self.model.chain, self.model.actuators)
 
 
 def _upright(rotation: np.ndarray, wanted: np.ndarray) -> np.ndarray:

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from kincal.urdf.closed_chain import ClosedChain
 
 
-def plan(
+def plan_stage(
     model: Model, plan: Plan, actuator: dict[str, Actuator], instruments: Instruments | None, seed: int
 ) -> PosePlan:
     """Which poses to measure: the paper's uniform grid, random poses, or D-optimal ones."""
@@ -44,7 +44,7 @@ def plan(
     return PosePlan(pd.DataFrame({"pose": range(len(u)), **columns}))
 
 
-def measure(robot: DrawnRobot, plan: PosePlan, measure: Measure, sensor: Sensor, seed: int) -> Measured:
+def measure_stage(robot: DrawnRobot, plan: PosePlan, measure: Measure, sensor: Sensor, seed: int) -> Measured:
     """The measurement table and streams: read from files, or measured by a virtual robot on itself."""
     from kincal.identification.measurements import to_table
     from kincal.pipeline.virtual.robot import VirtualRobot, default_channels, draw, stream_of
@@ -69,7 +69,7 @@ def measure(robot: DrawnRobot, plan: PosePlan, measure: Measure, sensor: Sensor,
     return Measured("virtual", to_table(chain.actuated_names, readings, columns), stream, truth)
 
 
-def filter(measured: Measured, filter: Filter, sensor: Sensor) -> Filtered:
+def filter_stage(measured: Measured, filter: Filter, sensor: Sensor) -> Filtered:
     """Raw streams -> one row a pose, by the extended Kalman filter; a table without streams goes through as it is.
 
     Poses that a stream does not tell are left out.

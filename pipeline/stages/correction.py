@@ -8,7 +8,7 @@ from kincal.pipeline.stages.robot_data import DrawnRobot, Poses
 from kincal.urdf.description import Correct, Plan, Siblings
 
 
-def siblings(robot: DrawnRobot, siblings: Siblings) -> SiblingResiduals:
+def siblings_stage(robot: DrawnRobot, siblings: Siblings) -> SiblingResiduals:
     """What geometry does not explain of virtual robots of this design, learned once for all that are built."""
     from kincal.identification.poses import planned
     from kincal.learning.inherit import inherit
@@ -29,7 +29,7 @@ def siblings(robot: DrawnRobot, siblings: Siblings) -> SiblingResiduals:
     return SiblingResiduals(inherited, curve)
 
 
-def correct(poses: Poses, identified: Identified, siblings: SiblingResiduals, correct: Correct) -> Hybrids:
+def correct_stage(poses: Poses, identified: Identified, siblings: SiblingResiduals, correct: Correct) -> Hybrids:
     """The residual network of the actuators, and the geometry refined beside it."""
     from kincal.pipeline.methods.residual_network import corrected
 

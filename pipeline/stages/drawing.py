@@ -8,7 +8,7 @@ from kincal.pipeline.results import Model, Urdf
 from kincal.urdf.description import Mechanism
 
 
-def model(mechanism: Mechanism, urdf: Path) -> Model:
+def model_stage(mechanism: Mechanism, urdf: Path) -> Model:
     """URDF or MJCF and loop closures -> a checked closed chain with its home configuration."""
     from kincal.urdf.assembly import assembled
     from kincal.urdf.input_files import read_text

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from kincal.identification.measurements import Measurements
 
 
-def identify(poses: Poses, measured: Measured, identify: Identify) -> Identified:
+def identify_stage(poses: Poses, measured: Measured, identify: Identify) -> Identified:
     """All geometric parameters from the measured poses; and from parts of them, to be scored on the rest."""
     from kincal.identification.poses import folds, held_out
 
@@ -36,20 +36,19 @@ def identify(poses: Poses, measured: Measured, identify: Identify) -> Identified
 def as_built(errors: ErrorModel, poses: Measurements, settings: Identify) -> tuple[Identification, np.ndarray]:
     """The robot from all of these poses; and (n_parameters,) W and T alone."""
     from kincal.identification.diagnosis import registered as register
-    from kincal.identification.estimators import identify as estimate
+    from kincal.identification.estimators import estimate_parameters
     from kincal.identification.summary import summarise
 
     registered = register(errors, poses, settings.max_iterations)
-    whole = estimate(errors, poses, settings, registered)
+    whole = estimate_parameters(errors, poses, settings, registered)
     return summarise(errors, poses, whole, registered, settings), registered.p
 
 
 def _fit(errors: ErrorModel, poses: Measurements, test: np.ndarray, settings: Identify) -> Fit:
     import numpy as np
 
-    from kincal.identification.estimators import identify as estimate
-    from kincal.identification.estimators import register
+    from kincal.identification.estimators import estimate_parameters, register
 
     train = poses[np.setdiff1d(np.arange(len(poses)), test)]
     registered = register(errors, train, settings.max_iterations)
-    return Fit(test, registered.p, estimate(errors, train, settings, registered).p)
+    return Fit(test, registered.p, estimate_parameters(errors, train, settings, registered).p)

@@ -8,7 +8,7 @@ from kincal.pipeline.stages.robot_data import DrawnRobot, Poses
 from kincal.urdf.description import Plan, Pretrain, Prior, Transfer
 
 
-def prior(robot: DrawnRobot, identified: Identified, prior: Prior, pretrain: Pretrain, seed: int) -> SourceTask:
+def prior_stage(robot: DrawnRobot, identified: Identified, prior: Prior, pretrain: Pretrain, seed: int) -> SourceTask:
     """The source task: a uniform grid up to three axes, as in the paper, else evenly spread poses; all nominal."""
     from kincal.identification.poses import planned
     from kincal.pipeline.methods.networks import source_task
@@ -18,14 +18,14 @@ def prior(robot: DrawnRobot, identified: Identified, prior: Prior, pretrain: Pre
     return source_task(robot.errors, readings, identified, pretrain)
 
 
-def pretrain(task: SourceTask, pretrain: Pretrain, seed: int) -> Pretrained:
+def pretrain_stage(task: SourceTask, pretrain: Pretrain, seed: int) -> Pretrained:
     """Networks trained on the source task: the paper's prior."""
     from kincal.pipeline.methods.networks import pretrained
 
     return pretrained(task, pretrain, seed)
 
 
-def transfer(
+def transfer_stage(
     poses: Poses,
     identified: Identified,
     task: SourceTask,

@@ -6,7 +6,7 @@ from kincal.pipeline.learned import Fits, Pretrained, SiblingResiduals
 from kincal.pipeline.results import Comparison, Filtered, Html, Measured, Model, Report
 
 
-def report(
+def report_stage(
     model: Model,
     measured: Measured,
     filtered: Filtered,

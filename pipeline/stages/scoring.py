@@ -8,7 +8,7 @@ from kincal.pipeline.stages.robot_data import DrawnRobot, Poses
 from kincal.urdf.description import Evaluate
 
 
-def compensate(robot: DrawnRobot, fits: Fits, measured: Measured, evaluate: Evaluate, seed: int) -> Compensated:
+def compensate_stage(robot: DrawnRobot, fits: Fits, measured: Measured, evaluate: Evaluate, seed: int) -> Compensated:
     """The closed loop: commands for desired poses by each method, and where the virtual robot then is.
 
     Desired are poses that the robot as built can have, parasitic motion included: those of the nominal commands.
@@ -19,9 +19,10 @@ def compensate(robot: DrawnRobot, fits: Fits, measured: Measured, evaluate: Eval
     import numpy as np
 
     from kincal.identification.channels import parts
+    from kincal.pipeline.compensator.commands import attempt
+    from kincal.pipeline.compensator.goal import filled
+    from kincal.pipeline.compensator.solvers import Solvers
     from kincal.pipeline.methods.calibrated import calibrations
-    from kincal.pipeline.methods.commands import attempt
-    from kincal.pipeline.methods.goal import Goal
     from kincal.pipeline.methods.scores import method_score
     from kincal.pipeline.virtual.robot import VirtualRobot
     from kincal.urdf.workspace import sample
@@ -35,10 +36,10 @@ def compensate(robot: DrawnRobot, fits: Fits, measured: Measured, evaluate: Eval
     virtual = VirtualRobot.of(errors, measured.truth)
     actual = virtual.pose(readings, virtual.after_campaign(readings))
     drawn = errors.robot(calibrated.fit.registered)  # what was not measured can't be desired otherwise than as drawn
-    desired = Goal(drawn, actual, parts(channels)).filled(drawn.measured(closure.pose))
-    scores, reached = [], {}
+    desired = filled(parts(channels), actual, drawn.measured(closure.pose))
+    scores, reached, solvers = [], {}, Solvers(robot.model.mechanism.workspace)
     for name, method in calibrated.methods.items():  # a network that has seen few poses may have no answer for some
-        tried = attempt(method, desired, errors.chain, errors.actuators, channels)
+        tried = attempt(solvers.of(method, channels), desired, errors.chain, errors.actuators)
         closure_there = virtual.close(tried.readings, virtual.after_campaign(tried.readings))
         rows = np.flatnonzero(tried.good(errors.chain, robot.model.mechanism.workspace) & closure_there.closed)
         reached[name] = len(rows)
@@ -48,7 +49,7 @@ def compensate(robot: DrawnRobot, fits: Fits, measured: Measured, evaluate: Eval
     return Compensated(len(u), reached, tuple(scores))
 
 
-def evaluate(
+def evaluate_stage(
     poses: Poses, fits: Fits, measured: Measured, compensated: Compensated, evaluate: Evaluate, name: str
 ) -> Comparison:
     """The methods side by side, on poses that none of them has seen."""

@@ -106,7 +106,7 @@ def _modelled(folder: Path) -> None:
     from kincal.pipeline.stages import drawing
 
     described = _described(folder)
-    drawing.model(described.mechanism, described.urdf)
+    drawing.model_stage(described.mechanism, described.urdf)
 
 
 def _proposed(folder: Path) -> None:

@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from kincal.identification.diagnosis import moved_far, registered
 from kincal.identification.error_model import Parameters
-from kincal.identification.estimators import identify, register
+from kincal.identification.estimators import estimate_parameters, register
 from kincal.identification.measurements import default_channels, to_measurements, to_table
 from kincal.identification.summary import summarise
 from kincal.pipeline.virtual.robot import VirtualRobot, draw, measure
@@ -282,7 +282,7 @@ HOMED = "was it homed elsewhere than actuator.{}.zero says?"
 def fitted(loaded, measured):
     """What the pipeline's stage does: its Identification."""
     start = registered(loaded.model, measured, 300)
-    return summarise(loaded.model, measured, identify(loaded.model, measured, None, start), start)
+    return summarise(loaded.model, measured, estimate_parameters(loaded.model, measured, None, start), start)
 
 
 def far_off(loaded, channels, name: str, tolerances: float):

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from kincal.identification.error_model import ErrorModel
-from kincal.identification.estimators import Estimate, identify, register
+from kincal.identification.estimators import Estimate, estimate_parameters, register
 from kincal.identification.measurements import Measurements
 from kincal.identification.robust_loss import Loss
 from kincal.identification.summary import summarise
@@ -75,7 +75,7 @@ def test_covariance_of_map_is_the_inverse_of_the_information(name, channels, los
     loaded = robot(name)
     model, tolerance = loaded.model, loaded.model.parameters.tolerance
     _, measured = noisy(loaded, channels, 25, 1)
-    found = identify(model, measured, Identify(loss=loss, shrinkage=scale))
+    found = estimate_parameters(model, measured, Identify(loss=loss, shrinkage=scale))
     assert found.shrinkage == scale
     unit = np.where(np.isfinite(tolerance), tolerance, 1e-3)
     jacobian = tall(model, measured, found) * unit
@@ -117,7 +117,7 @@ def test_map_is_a_minimum(name, channels, loss, robot):
     """The gradient of loss and priors, J' (weight r) + p / sigma^2: the step it asks for is nothing beside sigmas."""
     loaded = robot(name)
     _, measured = noisy(loaded, channels, 25, 2)
-    found = identify(loaded.model, measured, Identify(loss=loss))
+    found = estimate_parameters(loaded.model, measured, Identify(loss=loss))
     tolerance = loaded.model.parameters.tolerance
     unit = np.where(np.isfinite(tolerance), tolerance, 1e-3)
     weighted = (Loss(loss).weights(found.residual, channels) * found.residual).ravel()
@@ -138,7 +138,7 @@ def test_ridge_is_the_textbooks(name, channels, robot):
     _, measured = noisy(loaded, channels, 25, 3)
     registered = register(model, measured)
     scale, within = standardised(model, measured, registered)
-    found = identify(model, measured, Identify(estimator="ridge", shrinkage=k), registered)
+    found = estimate_parameters(model, measured, Identify(estimator="ridge", shrinkage=k), registered)
     assert found.shrinkage == k
     jacobian = tall(model, measured, found)
     x = without_frames(jacobian, jacobian[:, :-N_FRAMES]) * scale @ within.T
@@ -157,10 +157,10 @@ def test_truncated_svd_is_the_textbooks(name, channels, robot):
     _, measured = noisy(loaded, channels, 25, 4)
     registered = register(model, measured)
     scale, within = standardised(model, measured, registered)
-    at = tall(model, measured, identify(model, measured, None, registered))
+    at = tall(model, measured, estimate_parameters(model, measured, None, registered))
     leading = np.linalg.svd(without_frames(at, at[:, :-N_FRAMES]) * scale @ within.T, full_matrices=False)[2][:k]
     directions = scale[:, None] * (leading @ within).T
-    found = identify(model, measured, Identify(estimator="truncated_svd", shrinkage=k), registered)
+    found = estimate_parameters(model, measured, Identify(estimator="truncated_svd", shrinkage=k), registered)
     assert found.shrinkage == k
     along = np.linalg.lstsq(directions, found.p[:-N_FRAMES], rcond=None)[0]
     apart = directions @ along - found.p[:-N_FRAMES]
@@ -183,11 +183,11 @@ def test_liu_is_the_textbooks(name, channels, d, robot):
     _, measured = noisy(loaded, channels, 25, 5)
     registered = register(model, measured)
     scale, within = standardised(model, measured, registered)
-    at = tall(model, measured, identify(model, measured, None, registered))
+    at = tall(model, measured, estimate_parameters(model, measured, None, registered))
     x = without_frames(at, at[:, :-N_FRAMES]) * scale @ within.T
     square, eye = x.T @ x, np.eye(len(within))
-    least = identify(model, measured, Identify(estimator="liu", shrinkage=1.0), registered)
-    found = identify(model, measured, Identify(estimator="liu", shrinkage=d), registered)
+    least = estimate_parameters(model, measured, Identify(estimator="liu", shrinkage=1.0), registered)
+    found = estimate_parameters(model, measured, Identify(estimator="liu", shrinkage=d), registered)
     assert found.shrinkage == d
     inverse = np.where(scale > 0, 1 / np.maximum(scale, 1e-300), 0.0)
     beta = within @ (least.p[:-N_FRAMES] * inverse)
@@ -215,11 +215,13 @@ def test_without_shrinkage_all_are_least_squares(name, channels, robot):
     loaded = robot(name)
     _, measured = noisy(loaded, channels, 40, 6, 0.02, 2e-8)
     registered = register(loaded.model, measured)
-    least = identify(loaded.model, measured, Identify(estimator="least_squares"), registered)
+    least = estimate_parameters(loaded.model, measured, Identify(estimator="least_squares"), registered)
     limits = {"ridge": (0.0, 1e-13), "liu": (1.0,), "truncated_svd": (200.0,)}
     for estimator, values in limits.items():
         for value in values:
-            found = identify(loaded.model, measured, Identify(estimator=estimator, shrinkage=value), registered)
+            found = estimate_parameters(
+                loaded.model, measured, Identify(estimator=estimator, shrinkage=value), registered
+            )
             assert predictions_apart(loaded, found.p, least.p, channels) < 4e-9
             assert found.effective == pytest.approx(least.effective, abs=1e-2)
             np.testing.assert_allclose(found.residual, least.residual, atol=2e-2)
@@ -235,7 +237,7 @@ def test_least_squares_know_nothing_of_the_tolerances(name, channels, robot):
         update={"position_mm": 10 * given.position_mm, "rotation_deg": 0.1 * given.rotation_deg, "actuator_gain": 3e-3}
     )
     models = [ErrorModel.of(loaded.chain, loaded.description.actuator, t) for t in (given, other)]
-    found = [identify(m, measured, Identify(estimator="least_squares")) for m in models]
+    found = [estimate_parameters(m, measured, Identify(estimator="least_squares")) for m in models]
     assert predictions_apart(loaded, found[0].p, found[1].p, channels) < 1e-7
     np.testing.assert_allclose(found[0].residual, found[1].residual, atol=2e-2)
     assert found[0].effective == pytest.approx(found[1].effective)
@@ -250,8 +252,8 @@ def test_scale_of_the_priors_is_that_of_the_tolerances(robot):
     given = loaded.description.tolerance
     twice = Tolerance(**{name: 2 * value for name, value in given.model_dump().items()})
     wide = ErrorModel.of(loaded.chain, loaded.description.actuator, twice)
-    first = identify(loaded.model, measured, Identify(shrinkage=2))
-    second = identify(wide, measured)
+    first = estimate_parameters(loaded.model, measured, Identify(shrinkage=2))
+    second = estimate_parameters(wide, measured)
     sigma = np.sqrt(np.diag(second.covariance))
     np.testing.assert_allclose((first.p - second.p)[:-N_FRAMES] / sigma[:-N_FRAMES], 0, atol=1e-4)
     np.testing.assert_allclose(first.covariance, second.covariance, rtol=1e-4, atol=1e-5 * second.covariance.max())
@@ -266,7 +268,7 @@ def test_nothing_moves_along_what_nothing_sees(name, channels, estimator, robot)
     _, measured = noisy(loaded, channels, 40, 9)
     model = loaded.model
     registered = register(model, measured)
-    found = identify(model, measured, Identify(estimator=estimator), registered)
+    found = estimate_parameters(model, measured, Identify(estimator=estimator), registered)
     if estimator in ("map", "least_squares"):
         scale = model.parameters.tolerance[:-N_FRAMES]
         jacobian = tall(model, measured, found if estimator == "map" else registered)
@@ -296,7 +298,7 @@ def test_scale_of_the_priors_follows_the_robots(robot):
         chosen = []
         for seed in range(5):
             _, measured = noisy(loaded, ("orientation",), 50, 100 + seed, tolerances)
-            chosen.append(identify(loaded.model, measured, Identify(shrinkage="gcv")).shrinkage)
+            chosen.append(estimate_parameters(loaded.model, measured, Identify(shrinkage="gcv")).shrinkage)
         median[tolerances] = float(np.median(chosen))
     assert median[0.2] < 0.5
     assert 0.7 < median[1.0] < 1.5
@@ -312,7 +314,7 @@ def test_a_scale_at_its_bound_is_refused(how, robot):
     model = ErrorModel.of(loaded.chain, loaded.description.actuator, narrow)
     _, measured = noisy(loaded, ("orientation",), 40, 10, 3.0)
     with pytest.raises(CalibrationError, match=r"ended at its bound, 100: .*correct \[tolerance\]"):
-        identify(model, measured, Identify(shrinkage=how))
+        estimate_parameters(model, measured, Identify(shrinkage=how))
 
 
 @pytest.mark.parametrize("estimator", ESTIMATORS[2:])
@@ -320,8 +322,8 @@ def test_a_shrinkage_chosen_and_then_given_is_the_same_estimate(estimator, robot
     loaded = robot("ups2_u")
     _, measured = noisy(loaded, ("orientation",), 25, 11)
     for how in (None, "gcv", "kfold"):
-        chosen = identify(loaded.model, measured, Identify(estimator=estimator, shrinkage=how))
-        given = identify(loaded.model, measured, Identify(estimator=estimator, shrinkage=chosen.shrinkage))
+        chosen = estimate_parameters(loaded.model, measured, Identify(estimator=estimator, shrinkage=how))
+        given = estimate_parameters(loaded.model, measured, Identify(estimator=estimator, shrinkage=chosen.shrinkage))
         np.testing.assert_array_equal(chosen.p, given.p)
         np.testing.assert_array_equal(chosen.covariance, given.covariance)
 
@@ -344,7 +346,7 @@ def test_chi_square_has_its_degrees_of_freedom(name, channels, estimator, robot)
     loaded, chi_square, freedom = robot(name), 0.0, 0.0
     for seed in range(4):
         _, measured = noisy(loaded, channels, 50, 20 + seed)
-        found = identify(loaded.model, measured, Identify(estimator=estimator))
+        found = estimate_parameters(loaded.model, measured, Identify(estimator=estimator))
         chi_square, freedom = chi_square + np.sum(found.residual**2), freedom + measured.rows - found.effective
     assert abs(chi_square - freedom) < 4 * np.sqrt(2 * freedom)
 
@@ -366,9 +368,9 @@ def test_sigmas_that_nobody_gave_are_recovered(estimator, loss, robot):
     for seed in range(3):
         _, measured = noisy(loaded, channels, 40, 30 + seed)
         wrong = said_wrongly(measured, {"orientation": 10.0, "position": 0.1})
-        estimate = identify(loaded.model, wrong, Identify(estimator=estimator, loss=loss))
+        estimate = estimate_parameters(loaded.model, wrong, Identify(estimator=estimator, loss=loss))
         found.append([10.0 * estimate.sigma_factors["orientation"], 0.1 * estimate.sigma_factors["position"]])
-        given = identify(loaded.model, measured, Identify(estimator=estimator, loss=loss))
+        given = estimate_parameters(loaded.model, measured, Identify(estimator=estimator, loss=loss))
         if estimator in ("map", "least_squares"):
             inside = np.sqrt(np.diag(given.covariance))[:-N_FRAMES]
             assert np.abs((estimate.p - given.p)[:-N_FRAMES] / inside).max() < 1
@@ -380,10 +382,10 @@ def test_a_sigma_that_is_given_is_not_estimated(robot):
     """One sensor vouched for, one not; and none at all."""
     loaded, channels = robot("ur10"), ("orientation", "position")
     _, measured = noisy(loaded, channels, 40, 40)
-    assert identify(loaded.model, measured).sigma_factors == {}
+    assert estimate_parameters(loaded.model, measured).sigma_factors == {}
     half = said_wrongly(measured, {"position": 0.1})
     registered = register(loaded.model, half)
-    estimate = identify(loaded.model, half, None, registered)
+    estimate = estimate_parameters(loaded.model, half, None, registered)
     assert set(estimate.sigma_factors) == {"position"}
     assert 0.1 * estimate.sigma_factors["position"] == pytest.approx(1.0, abs=4 * 0.07)
     found = summarise(loaded.model, half, estimate, registered)
@@ -403,4 +405,4 @@ def test_few_poses_cannot_tell_a_sigma(name, channels, n, loss, robot):
     with pytest.raises(
         InputError, match=rf"sigma of orientation is not given, and {n} poses can't tell it .*\[sensor\]"
     ):
-        identify(loaded.model, replace(measured, assumed=channels), Identify(loss=loss))
+        estimate_parameters(loaded.model, replace(measured, assumed=channels), Identify(loss=loss))

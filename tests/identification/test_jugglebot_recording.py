@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from kincal.identification.estimators import identify, register
+from kincal.identification.estimators import estimate_parameters, register
 from kincal.identification.measurements import read_table, to_measurements
 from kincal.identification.summary import summarise
 
@@ -21,7 +21,9 @@ def measured(robot, shared_data):
 def test_identified_robot_fits_the_recording(robot, measured):
     """README: 48 parameters by least squares leave 0.95 mm and 0.165 degrees in pose, 0.41 mm in leg length."""
     loaded = robot("jugglebot")
-    found = summarise(loaded.model, measured, identify(loaded.model, measured), register(loaded.model, measured))
+    found = summarise(
+        loaded.model, measured, estimate_parameters(loaded.model, measured), register(loaded.model, measured)
+    )
     assert found.n_poses == 108
     assert found.channels == ("orientation", "position")
     assert found.residual_size["position_mm"] <= 1.0

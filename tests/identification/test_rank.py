@@ -7,7 +7,7 @@ import re
 import numpy as np
 import pytest
 
-from kincal.identification.estimators import identify
+from kincal.identification.estimators import estimate_parameters
 from kincal.identification.identifiability import identifiability
 
 CASES = [
@@ -65,7 +65,7 @@ def test_rank_at_an_identified_robot_is_that_of_fresh_poses(name, channels, robo
     n = enough_poses(loaded, channels)
     truth, noise = loaded.random_parameters(2), np.random.default_rng(2)
     measured = loaded.measure(truth, loaded.readings(n, 1), channels, dict.fromkeys(channels, 1e-5), noise)
-    estimate = identify(loaded.model, measured)
+    estimate = estimate_parameters(loaded.model, measured)
     found = identifiability(estimate.triangle[:, :-1], loaded.model.parameters, measured.rows)
     fresh = linearised(loaded, channels, n, 2, estimate.p)
     assert found.rank == np.linalg.matrix_rank(fresh * scaled(loaded), rtol=1e-13)

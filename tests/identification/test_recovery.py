@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
 from kincal.identification.error_model import ErrorModel
-from kincal.identification.estimators import identify, register
+from kincal.identification.estimators import estimate_parameters, register
 from kincal.identification.summary import summarise
 from kincal.urdf.description import Identify
 from kincal.urdf.errors import CalibrationError, InputError
@@ -64,7 +64,7 @@ def test_noise_free_measurements_give_back_the_robot(name, channels, n, frames, 
         channels,
         dict.fromkeys(channels, 1e-7 if name == "jugglebot" else 1e-8),
     )
-    found = identify(loaded.model, measured)
+    found = estimate_parameters(loaded.model, measured)
     assert found.success
     assert found.cost < len(loaded.model.parameters)  # half the truth's prior, and little else
     fresh = loaded.readings(200, 11)
@@ -84,7 +84,7 @@ def test_identification_converges_however_precise_the_data(name, sigma, seed, ro
     measured = loaded.measure(
         loaded.random_parameters(seed), loaded.readings(80, 10), channels, dict.fromkeys(channels, sigma)
     )
-    assert identify(loaded.model, measured).cost < len(
+    assert estimate_parameters(loaded.model, measured).cost < len(
         loaded.model.parameters
     )  # half the truth's prior, and little else
 
@@ -98,7 +98,9 @@ def test_noisy_measurements_leave_a_chi_square_of_one(name, channels, n, robot):
     truth = loaded.random_parameters(2)
     std = {"orientation": 1e-5, "position": 2e-5}
     measured = loaded.measure(truth, loaded.readings(n, 12), channels, std, np.random.default_rng(3))
-    found = summarise(loaded.model, measured, identify(loaded.model, measured), register(loaded.model, measured))
+    found = summarise(
+        loaded.model, measured, estimate_parameters(loaded.model, measured), register(loaded.model, measured)
+    )
     low, high = chi2.ppf([5e-5, 1 - 5e-5], found.degrees_of_freedom)
     assert low < found.chi_square < high
     rows = found.residual.size
@@ -127,7 +129,7 @@ def test_sigmas_of_predicted_poses_hold_what_they_promise(name, channels, n, rob
         truth = loaded.random_parameters(100 + seed)
         noise = np.random.default_rng(200 + seed)
         measured = loaded.measure(truth, loaded.readings(n, 300 + seed), channels, std, noise)
-        found = identify(loaded.model, measured)
+        found = estimate_parameters(loaded.model, measured)
         jacobian = loaded.model.pose_jacobian(found.p, fresh, loaded.model.robot(found.p).close(fresh).q)
         sigma = np.sqrt(np.einsum("nij,jk,nik->ni", jacobian, found.covariance, jacobian))
         predicted, true = loaded.poses(found.p, fresh), loaded.poses(truth, fresh)
@@ -155,7 +157,7 @@ def test_parameters_sigmas_hold_what_they_promise(robot):
         measured = loaded.measure(
             truth, loaded.readings(30, 600 + seed), ("orientation",), {"orientation": 1e-5}, noise
         )
-        found = identify(loaded.model, measured)
+        found = estimate_parameters(loaded.model, measured)
         sigma = np.sqrt(np.diag(found.covariance))[tight]
         values.append((found.p - truth)[tight] / sigma)
         assert np.all(sigma <= (1 + 1e-9) * loaded.model.parameters.tolerance[tight])
@@ -169,7 +171,9 @@ def test_one_bad_pose_is_named_as_an_outlier(robot):
     truth, readings = loaded.random_parameters(7), loaded.readings(40, 7)
     measured = loaded.measure(truth, readings, ("orientation", "position"), noise=np.random.default_rng(8))
     measured.values["position"][17] += 100 * measured.std["position"][17] * np.array([0.6, 0.8, 0.0])
-    found = summarise(loaded.model, measured, identify(loaded.model, measured), register(loaded.model, measured))
+    found = summarise(
+        loaded.model, measured, estimate_parameters(loaded.model, measured), register(loaded.model, measured)
+    )
     assert found.outliers[0].pose == 17 or 17 in [o.pose for o in found.outliers]
     assert any("position" in o.reason for o in found.outliers if o.pose == 17)
 
@@ -178,7 +182,9 @@ def test_tilt_leaves_the_turn_about_gravity_without_a_sigma(robot):
     """What nothing can see has an infinite sigma, not a small one: some of W's numbers."""
     loaded = robot("ups3_s")
     measured = loaded.measure(loaded.random_parameters(1), loaded.readings(40, 1), ("tilt",))
-    found = summarise(loaded.model, measured, identify(loaded.model, measured), register(loaded.model, measured))
+    found = summarise(
+        loaded.model, measured, estimate_parameters(loaded.model, measured), register(loaded.model, measured)
+    )
     infinite = {name for name, std in zip(found.names, found.std, strict=True) if np.isinf(std)}
     assert "instrument.rz" in infinite
     assert {f"{frame}.{c}" for frame in ("instrument", "target") for c in "xyz"} <= infinite
@@ -189,7 +195,7 @@ def test_three_poses_are_enough_for_an_answer_with_honest_sigmas(robot):
     """MAP is well posed for any n that can register W and T; sigmas stay within the priors."""
     loaded = robot("jugglebot")
     measured = loaded.measure(loaded.random_parameters(3), loaded.readings(3, 3), ("orientation", "position"))
-    found = identify(loaded.model, measured)
+    found = estimate_parameters(loaded.model, measured)
     tight = ~loaded.model.parameters.flat
     assert found.success
     assert np.all(np.sqrt(np.diag(found.covariance))[tight] <= loaded.model.parameters.tolerance[tight] * (1 + 1e-9))
@@ -201,7 +207,7 @@ def test_readings_at_which_the_loops_cannot_close_name_the_pose(robot):
     measured = loaded.measure(loaded.random_parameters(0), loaded.readings(6, 0), ("orientation",))
     measured.readings[4] = [1.5, 0.4, 0.4]
     with pytest.raises(InputError, match="measured pose 4: the loops can't be closed"):
-        identify(loaded.model, measured)
+        estimate_parameters(loaded.model, measured)
 
 
 def test_identification_that_cannot_converge_says_so(robot):
@@ -211,7 +217,7 @@ def test_identification_that_cannot_converge_says_so(robot):
         loaded.random_parameters(5), loaded.readings(30, 0), ("orientation", "position"), None, noise
     )
     with pytest.raises(CalibrationError, match="did not converge"):
-        identify(loaded.model, measured, Identify(max_iterations=1))
+        estimate_parameters(loaded.model, measured, Identify(max_iterations=1))
 
 
 def test_tolerances_of_the_description_are_the_priors(robot):

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.stats import chi2
 
-from kincal.identification.estimators import identify, register
+from kincal.identification.estimators import estimate_parameters, register
 from kincal.identification.measurements import Measurements
 from kincal.identification.robust_loss import Loss, blocks
 from kincal.identification.summary import summarise
@@ -165,7 +165,7 @@ def test_five_percent_of_poses_a_degree_off(seed, robot):
     error, far = {}, {}
     for loss in KINDS:
         settings = Identify(loss=loss)
-        estimate = identify(loaded.model, measured, settings, registered)
+        estimate = estimate_parameters(loaded.model, measured, settings, registered)
         sigma = np.sqrt(np.diag(estimate.covariance))
         far[loss] = np.abs(estimate.p - truth)[tight] / sigma[tight]
         predicted, true = loaded.poses(estimate.p, fresh), loaded.poses(truth, fresh)

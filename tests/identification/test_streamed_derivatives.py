@@ -7,7 +7,7 @@ import pytest
 
 from kincal.identification import compiled as compilation
 from kincal.identification import error_model
-from kincal.identification.estimators import identify, register
+from kincal.identification.estimators import estimate_parameters, register
 from kincal.identification.robust_loss import Loss
 
 CHANNELS = ("orientation", "position")
@@ -37,9 +37,9 @@ def test_factors_streamed_over_chunks_are_those_of_all_poses_at_once(measured, m
 
 def test_an_identification_in_chunks_is_the_same(measured, monkeypatch):
     loaded, poses = measured
-    whole = identify(loaded.model, poses)
+    whole = estimate_parameters(loaded.model, poses)
     monkeypatch.setattr(error_model, "_CHUNK", 9)
-    parts = identify(loaded.model, poses)
+    parts = estimate_parameters(loaded.model, poses)
     sigma = np.sqrt(np.diag(whole.covariance)) + 1e-12
     assert np.max(np.abs(parts.p - whole.p) / sigma) < 1e-3
     np.testing.assert_allclose(parts.cost, whole.cost, rtol=1e-9)

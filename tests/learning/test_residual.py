@@ -7,8 +7,8 @@ import pytest
 
 from kincal.learning.correction import Correction
 from kincal.learning.network import Network, initial_weights
-from kincal.learning.residual import STRUCTURES, Task, fit_correction, learning_curve, refit
-from kincal.learning.units import Inherited
+from kincal.learning.residual import Task, fit_correction, learning_curve, refit
+from kincal.learning.units import STRUCTURES, Inherited
 
 JOINTS, ROWS = 3, 4
 LOW, HIGH = np.array([0.4, 0.35, 0.5]), np.array([0.6, 0.55, 0.52])  # ranges of different size

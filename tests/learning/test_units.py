@@ -10,7 +10,7 @@ from hypothesis.extra.numpy import arrays
 
 from kincal.learning.correction import Correction, Hull, Spread
 from kincal.learning.network import Network, initial_weights
-from kincal.learning.units import INHERITED, OWN, SHARED, WAVES, Inherited, Units, range_of, shared_units
+from kincal.learning.units import GROUPS, Inherited, Own, Shared, Units, Waves, range_of
 
 JOINTS = 3
 MARGIN = 0.4  # in scaled inputs: a fifth of a range, which is 2 wide
@@ -30,8 +30,8 @@ def inherited() -> Inherited:
 
 
 def all_units() -> Units:
-    waves = np.array([[1, 2.5], [2, 7.0], [1, 4.1]])
-    return Units((LOW + HIGH) / 2, (HIGH - LOW) / 2, 5, waves, shared_units(JOINTS, 4, 0), inherited())
+    waves = Waves(np.array([[1, 2.5], [2, 7.0], [1, 4.1]]))
+    return Units((LOW + HIGH) / 2, (HIGH - LOW) / 2, (Own(5), waves, Shared.random(JOINTS, 4, 0), inherited()))
 
 
 @pytest.fixture
@@ -53,18 +53,24 @@ def test_every_weight_has_a_unit_a_joint_and_a_name():
     joint, names = units.layout
     assert units.values(joints(7, 1)).shape == (7, len(joint)) == (7, len(names))
     counted = {name: names.count(name) for name in dict.fromkeys(names)}
-    assert counted == {OWN: 5 * JOINTS, WAVES: 2 * 3, SHARED: 4 * JOINTS, INHERITED: 2 * JOINTS}
-    assert list(joint[np.array(names) == WAVES]) == [1, 1, 2, 2, 1, 1]
+    assert counted == {Own.name: 5 * JOINTS, Waves.name: 2 * 3, Shared.name: 4 * JOINTS, Inherited.name: 2 * JOINTS}
+    assert list(counted) == [kind.name for kind in GROUPS]
+    assert list(joint[np.array(names) == Waves.name]) == [1, 1, 2, 2, 1, 1]
 
 
-@pytest.mark.parametrize("name, coupled", [(OWN, False), (WAVES, False), (SHARED, True), (INHERITED, True)])
+@pytest.mark.parametrize(
+    "name, coupled", [(Own.name, False), (Waves.name, False), (Shared.name, True), (Inherited.name, True)]
+)
 def test_whom_units_see_and_move(correction, central_difference, name, coupled):
     """Derivatives of each output by each input: of joint-wise groups the diagonal alone."""
     _, names = correction.units.layout
     one = replace(correction, readout=np.where([n == name for n in names], correction.readout, 0.0))
     at = joints(8, seed=2)
     jacobian = np.stack([central_difference(one, x, 1e-5) for x in at]) / one.scale[:, None] * one.units.span
-    largest, moved = np.abs(jacobian).max(axis=0), [0, 1, 2] if name in (OWN, SHARED, INHERITED) else [1, 2]
+    largest, moved = (
+        np.abs(jacobian).max(axis=0),
+        [0, 1, 2] if name in (Own.name, Shared.name, Inherited.name) else [1, 2],
+    )
     assert largest[moved, moved].min() > 1e-2
     off = largest[~np.eye(JOINTS, dtype=bool)]
     assert (off.min() > 1e-3) if coupled else (off.max() < 1e-9)
@@ -84,10 +90,10 @@ def test_it_is_linear_in_its_weights(correction):
 
 def test_a_wave_has_its_period():
     """By its definition: so many cycles over the range; sine and cosine, so any phase."""
-    units = replace(all_units(), own=0, shared=np.zeros((0, JOINTS + 1)), inherited=None)
+    units = all_units().only([Waves])
     x = joints(20, seed=4)
     values = units.values(x)
-    for k, (joint, cycles) in enumerate(units.waves):
+    for k, (joint, cycles) in enumerate(units.groups[0].periodic):
         period = (HIGH - LOW)[int(joint)] / cycles
         moved = x.copy()
         moved[:, int(joint)] += period
@@ -101,12 +107,14 @@ def test_a_wave_has_its_period():
 def test_waves_are_told_in_readings(correction):
     """Period and amplitude of the function itself, of the correction as far as it is believed; the largest first."""
     _, names = correction.units.layout
-    told = correction.waves()
-    assert sorted(amplitude for *_, amplitude in told)[::-1] == [amplitude for *_, amplitude in told]
-    for joint, period, amplitude in told:
-        k = next(k for k, (j, c) in enumerate(correction.units.waves) if j == joint and period * c > 0
-                 and abs((HIGH - LOW)[joint] / c - period) < 1e-12)  # fmt: skip
-        pairs = np.flatnonzero([n == WAVES for n in names]).reshape(-1, 2)[k]
+    (waves,) = correction.units.only([Waves]).groups
+    largest_first = correction.waves()
+    assert sorted(amplitude for *_, amplitude in largest_first)[::-1] == [amplitude for *_, amplitude in largest_first]
+    for joint, period, amplitude in largest_first:
+        periods = [(HIGH - LOW)[int(j)] / c if j == joint else 0.0 for j, c in waves.periodic]
+        k = int(np.argmin(np.abs(np.array(periods) - period)))
+        assert periods[k] == pytest.approx(period, rel=1e-12)
+        pairs = np.flatnonzero([n == Waves.name for n in names]).reshape(-1, 2)[k]
         own = np.isin(np.arange(len(names)), pairs)
         one = replace(correction, readout=np.where(own, correction.readout, 0.0))
         x = np.tile((LOW + HIGH) / 2, (4000, 1))
@@ -115,13 +123,13 @@ def test_waves_are_told_in_readings(correction):
 
 
 def test_no_units_at_all():
-    empty = Units((LOW + HIGH) / 2, (HIGH - LOW) / 2, 0, np.zeros((0, 2)), np.zeros((0, JOINTS + 1)), None)
+    empty = Units((LOW + HIGH) / 2, (HIGH - LOW) / 2, ())
     assert empty.values(joints(4, 0)).shape == (4, 0) == (4, len(empty.layout[0]))
 
 
 def test_one_radial_unit_a_joint():
     """No distance between centres: the reach is its width."""
-    one = Units((LOW + HIGH) / 2, (HIGH - LOW) / 2, 1, np.zeros((0, 2)), np.zeros((0, JOINTS + 1)), None)
+    one = Units((LOW + HIGH) / 2, (HIGH - LOW) / 2, (Own(1),))
     values = one.values(joints(50, 0))
     assert np.isfinite(values).all()
     assert values.shape == (50, JOINTS)
@@ -131,9 +139,9 @@ def test_one_radial_unit_a_joint():
 @given(count=st.integers(1, 30), seed=st.integers(0, 20), k=st.integers(1, 6))
 def test_shared_units_bend_within_the_range(count, seed, k):
     """The hyperplane where a unit is steepest is no farther from the middle than one unit of its scaled inputs."""
-    units = shared_units(k, count, seed)
+    units = Shared.random(k, count, seed).hidden
     assert units.shape == (count, k + 1)
-    np.testing.assert_array_equal(units, shared_units(k, count, seed))
+    np.testing.assert_array_equal(units, Shared.random(k, count, seed).hidden)
     assert np.all(np.abs(units[:, -1]) <= np.linalg.norm(units[:, :-1], axis=1))
 
 
@@ -191,7 +199,7 @@ def test_fading_outside_the_hull(correction, direction):
 
 def test_fade_by_hand():
     """Half of the margin outside: (1 - 1/4)^2."""
-    units = Units(np.zeros(2), np.ones(2), 1, np.zeros((0, 2)), np.zeros((0, 3)), None)
+    units = Units(np.zeros(2), np.ones(2), (Own(1),))
     hull = Hull.of(np.array([[-1.0, -1], [1, 1], [1, -1], [-1, 1]]))
     spread = Spread(np.eye(2), np.eye(2), 0.0, 1.0)
     own = Correction(units, np.ones(2), np.ones(2), hull, "", 0.4, 5.0, {}, spread, spread)

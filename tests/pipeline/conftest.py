@@ -14,11 +14,11 @@ import pytest
 
 from benchmarks.small import QUICK, SMALL
 from kincal.identification.error_model import ErrorModel
-from kincal.identification.estimators import identify, register
+from kincal.identification.estimators import estimate_parameters, register
 from kincal.identification.measurements import Measurements
 from kincal.learning.correction import Correction, Hull, Spread
 from kincal.learning.inherit import inherit
-from kincal.learning.units import Inherited, Units, shared_units
+from kincal.learning.units import Inherited, Own, Shared, Units, Waves
 from kincal.pipeline.commands.app import main
 from kincal.pipeline.learned import Corrected
 from kincal.pipeline.methods.predictors import HybridMethod, ModelMethod, build
@@ -102,7 +102,8 @@ def correction():
         readings, gain = loaded.readings(200, seed=9), loaded.model.actuators.gain
         low, high = readings.min(axis=0), readings.max(axis=0)
         k = readings.shape[1]
-        units = Units((low + high) / 2, (high - low) / 2, 4, np.array([[k - 1, 1.7]]), shared_units(k, 4, 0), None)
+        groups = Own(4), Waves(np.array([[k - 1, 1.7]])), Shared.random(k, 4, 0)
+        units = Units((low + high) / 2, (high - low) / 2, groups)
         readout = 0.3 * np.random.default_rng(0).normal(size=len(units.layout[0]))
         around = Hull.of(units.scaled(readings))
         around = Hull(around.directions, hull * around.reach)
@@ -188,7 +189,7 @@ def calibrated(robot, observed):
         random = np.random.default_rng([seed, 66])
         measured = observed(pose, readings, channels, std, random)
         registered = register(loaded.model, measured, 1000)
-        found = identify(loaded.model, measured, Identify(), registered)
+        found = estimate_parameters(loaded.model, measured, Identify(), registered)
         fit = Fit(np.zeros(0, dtype=int), registered.p, found.p)
         own = inherited(name)
         return Calibrated(

@@ -8,11 +8,14 @@ import pandas as pd
 import pytest
 
 from kincal.identification.accuracy import gravity_error
+from kincal.identification.channels import parts
 from kincal.identification.measurements import to_measurements
 from kincal.learning.transfer import new_network, train
+from kincal.pipeline.compensator.commands import attempt
+from kincal.pipeline.compensator.goal import Goal
+from kincal.pipeline.compensator.network_solver import NetworkSolver
+from kincal.pipeline.compensator.solvers import Solvers
 from kincal.pipeline.methods.charts import Chart
-from kincal.pipeline.methods.commands import attempt
-from kincal.pipeline.methods.goal import Goal, parts
 from kincal.pipeline.methods.predictors import HybridMethod, ModelMethod, NetworkMethod
 from kincal.pipeline.virtual.robot import VirtualRobot, draw
 from kincal.urdf.description import VirtualErrors
@@ -84,17 +87,17 @@ def test_rates_of_what_is_filled_in(robot, kind, central_difference):
     axes, n = list(loaded.chain.tool_axes), len(loaded.chain.tool_axes)
     at = 0.8 * loaded.coordinates(1, seed=1)[0, axes]
     here = inverse(known.chain, _full(at[None], axes))
-    desired = known.measured(here.pose)
+    desired, goal = known.measured(here.pose), Goal(known, parts(kind[1]))
 
     def along(x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         pose = inverse(known.chain, _full(x, axes)).pose
         everywhere = Motion(np.repeat(desired.rotation, len(x), 0), np.repeat(desired.translation, len(x), 0))
-        goal = Goal(known, everywhere, parts(kind[1]))
-        return tool_coordinates(known.chain, pose), goal.coordinates(known.measured(pose))
+        tool = goal.tool(everywhere, known.measured(pose))
+        return tool_coordinates(known.chain, pose), tool_coordinates(known.chain, tool)
 
     moved, filled = (central_difference(lambda x, k=k: along(x)[k], at) for k in (0, 1))
     np.testing.assert_allclose(tool_rates(known.chain, here.q)[0], moved, atol=1e-7)
-    np.testing.assert_allclose(Goal(known, desired, parts(kind[1])).rates(here.q)[0], filled, atol=1e-7)
+    np.testing.assert_allclose(goal.rates(desired, here.q)[0], filled, atol=1e-7)
     assert moved.shape == (6, n)
 
 
@@ -112,7 +115,7 @@ def test_what_was_measured_is_reached_whatever_the_rest_says(robot, kind):
     desired = known.measured(known.close(loaded.readings(40, seed=2)).pose)
     asked = spoiled(desired, channels, 0.02 if kind[0] == "ups3_s" else 2.0)  # which may turn about the vertical
     method = ModelMethod(known)
-    readings, reached = method.command(asked, channels)
+    readings, reached = loaded.command(method, asked, channels)
     assert reached.all()
     assert apart(desired, method.predict(readings), channels) < 1e-9
     if kind[0] != "ups3_s":
@@ -128,7 +131,9 @@ def test_hybrid_reaches_what_was_measured(robot, correction, kind, shrinkage):
     part = correction(loaded, 1e-3, shrinkage, 0.9 if shrinkage < 1 else 9.0)
     method = HybridMethod(ModelMethod(built(loaded, channels, 4)), known, part)
     desired = method.predict(loaded.readings(20, seed=2))
-    readings, reached = method.command(spoiled(desired, channels, 0.02 if kind[0] == "ups3_s" else 2.0), channels)
+    readings, reached = loaded.command(
+        method, spoiled(desired, channels, 0.02 if kind[0] == "ups3_s" else 2.0), channels
+    )
     assert reached.all()
     assert apart(desired, method.predict(readings), channels) < 1e-9
 
@@ -140,11 +145,12 @@ def test_the_closed_loop_of_a_virtual_robot(robot, name, channels):
     truth = draw(loaded.model, VirtualErrors(elastic=False, screw=False), 4)
     virtual = VirtualRobot.of(loaded.model, truth)
     desired = virtual.pose(loaded.readings(100, seed=3))
-    tried = attempt(ModelMethod(virtual.robot), desired, loaded.chain, loaded.model.actuators, channels)
+    solvers = Solvers(loaded.description.workspace)
+    tried = attempt(solvers.of(ModelMethod(virtual.robot), channels), desired, loaded.chain, loaded.model.actuators)
     assert tried.good(loaded.chain, loaded.description.workspace).all()
     assert apart(desired, virtual.pose(tried.readings), channels) < 1e-9
     nominal = ModelMethod(loaded.model.robot(np.concatenate([0 * truth.p[:-12], truth.p[-12:]])))
-    tried = attempt(nominal, desired, loaded.chain, loaded.model.actuators, channels)
+    tried = attempt(solvers.of(nominal, channels), desired, loaded.chain, loaded.model.actuators)
     assert apart(desired, virtual.pose(tried.readings), channels) > 1e-5
 
 
@@ -153,7 +159,7 @@ def test_of_a_pose_that_no_mechanism_has_the_tool_axes_are_met(robot):
     loaded = robot("rps3")
     known = built(loaded, ("orientation", "position"))
     u = loaded.coordinates(30, seed=5)
-    readings, reached = ModelMethod(known).command(known.measured(pose_at(known.chain, u)))
+    readings, reached = loaded.command(ModelMethod(known), known.measured(pose_at(known.chain, u)))
     assert reached.all()
     got = tool_coordinates(known.chain, known.close(readings).pose)
     np.testing.assert_allclose(got[:, 2:5], u[:, 2:5], atol=1e-10)
@@ -167,7 +173,7 @@ def test_an_orientation_that_is_not_the_tools_to_choose_is_ignored(robot):
     desired = known.measured(known.close(loaded.readings(30, seed=6)).pose)
     level = replace(desired, rotation=desired.rotation @ exp(np.array([0.01, -0.02, 0.03])))
     method = ModelMethod(known)
-    readings, reached = method.command(level, channels)
+    readings, reached = loaded.command(method, level, channels)
     assert reached.all()
     assert apart(desired, method.predict(readings), channels) < 1e-9
 
@@ -190,11 +196,14 @@ def test_newton_in_the_outputs_knows_how_its_goal_moves(robot, name, measured, a
     method, readings = trained(robot(name), measured)
     at = 0.5 * readings[0] + 0.5 * readings.mean(axis=0)
     desired = method.predict(at[None])
+    solver = Solvers(robot(name).description.workspace).of(method, asked)
+    assert isinstance(solver, NetworkSolver)
+    solver = replace(solver, model=replace(solver.model, goal=Goal(method.chart.robot, parts(asked))))
 
     def linearised(x: np.ndarray):
         everywhere = Motion(np.repeat(desired.rotation, len(x), 0), np.repeat(desired.translation, len(x), 0))
         q = method.chart.robot.close(x).q
-        return method._linearised(Goal(method.chart.robot, everywhere, parts(asked)), x, q)
+        return solver.linearised(everywhere, x, q)
 
     axes = [0, 1] if name == "ups2_u" else [0, 1, 2]
     expected = central_difference(lambda x: linearised(x)[0], at)[axes]
@@ -216,10 +225,11 @@ def test_newton_in_the_outputs_knows_how_its_goal_moves(robot, name, measured, a
 )
 def test_a_network_fills_in_its_own_prediction(robot, name, measured, channels):
     """What was measured and is desired, at the network's prediction; the rest of the desired poses is changed."""
-    method, readings = trained(robot(name), measured)
+    loaded = robot(name)
+    method, readings = trained(loaded, measured)
     desired = method.predict(0.5 * readings[:20] + 0.5 * readings.mean(axis=0))
     size = 0.03 if name == "jugglebot" else 2.0  # which can turn as it is asked to
-    commanded, reached = method.command(spoiled(desired, channels, size), channels)
+    commanded, reached = loaded.command(method, spoiled(desired, channels, size), channels)
     assert reached.all()
     got = method.predict(commanded)
     if name == "rps3":  # of the target's position height alone is the tool's to choose

@@ -22,6 +22,7 @@ from kincal.pipeline.compensator.library import (
     Answers,
     Library,
 )
+from kincal.pipeline.compensator.solver import ModelSolver
 from kincal.pipeline.methods.predictors import HybridMethod, ModelMethod
 from kincal.urdf.errors import InputError
 from kincal.urdf.kinematics import pose_at
@@ -54,14 +55,23 @@ class Case:
 
     @property
     def method(self) -> ModelMethod | HybridMethod:
-        return self.compensator.method
+        return self.solver.method
+
+    @property
+    def solver(self) -> ModelSolver:
+        return self.compensator.solver
+
+    def commanded(self, desired: Motion) -> tuple[np.ndarray, np.ndarray]:
+        """By the same steps in batches; which are checked against the method's predictions."""
+        commanded = self.solver.commands(desired)
+        return commanded.readings, commanded.reached
 
     def readings(self, n: int, seed: int) -> np.ndarray:
         """Of the workspace: the correction is believed in the middle, fades, and is gone in the corners."""
         return self.loaded.readings(n, seed)
 
     def apart(self, found: np.ndarray, expected: np.ndarray) -> float:
-        return float(np.abs(self.compensator.robot.actuators.gain * (found - expected)).max())
+        return float(np.abs(self.solver.robot.actuators.gain * (found - expected)).max())
 
 
 @pytest.fixture(scope="session")
@@ -102,7 +112,7 @@ def case(compensated, compiler, tmp_path_factory):
     def make(kind: str) -> Case:
         loaded, compensator = compensated(kind)
         files, folder = sources(compensator, "kincal_it", ["test */ ??/"]), tmp_path_factory.mktemp("code")
-        chain = compensator.robot.chain
+        chain = compensator.solver.robot.chain
         counts = (len(chain.actuated), chain.n_joints, len(chain.passive))
         library = Library.of(files, "kincal_it", counts, compiler, folder)
         return Case(loaded, compensator, KINDS[kind][2], files, library, folder)
@@ -115,7 +125,7 @@ def test_commands_are_those_of_the_method(case, kind):
     """Poses that the robot can have, inside the hull, where the correction fades, and outside of it."""
     found = case(kind)
     desired = found.method.predict(found.readings(150, seed=21))
-    expected, reached = found.method.command(desired, found.channels)
+    expected, reached = found.commanded(desired)
     answers = found.library.commands(desired)
     assert reached.all()
     assert answers.found.all()
@@ -157,21 +167,21 @@ def test_what_is_not_asked_for_changes_nothing(case, kind):
     )
     spoiled = Motion(turned, desired.translation + (0.0 if "position" in found.channels else 0.3))
     answers = found.library.commands(spoiled)
-    expected, reached = found.method.command(spoiled, found.channels)
+    expected, reached = found.commanded(spoiled)
     assert reached.all()
     assert answers.found.all()
     assert found.apart(answers.values, expected) < 1e-9
 
 
-def test_casadi_says_the_same_of_the_steps(compensated):
-    """Without a compiler; `commands` runs the loops of the C on whole batches."""
+def test_batches_without_a_compiler(compensated):
+    """The readings at which the poses were predicted; the same with compiled steps."""
     loaded, compensator = compensated(HYBRID)
-    desired = compensator.method.predict(loaded.readings(60, seed=24))
-    expected, _ = compensator.method.command(desired, KINDS[HYBRID][2])
-    found = compensator.commands(desired)
+    solver, readings = compensator.solver, loaded.readings(60, seed=24)
+    desired = solver.method.predict(readings)
+    found = solver.commands(desired)
     assert found.reached.all()
-    np.testing.assert_allclose(found.readings, expected, rtol=0, atol=1e-9)
-    again = compensator.compiled().commands(desired)
+    np.testing.assert_allclose(found.readings, readings, rtol=0, atol=1e-9)
+    again = solver.compiled().commands(desired)
     np.testing.assert_allclose(again.readings, found.readings, rtol=0, atol=1e-13)
 
 
@@ -182,7 +192,7 @@ def test_poses_out_of_reach(case):
     """Flagged after the fixed number of iterations; nothing is written, and the next call is as good as the first."""
     found = case(HYBRID)
     most = found.compensator.most
-    robot = found.compensator.robot
+    robot = found.solver.robot
     u = np.zeros((3, 6))
     u[:, 3] = [2.6, -2.9, 3.0]
     away = found.library.commands(robot.measured(pose_at(robot.chain, u)))
@@ -218,18 +228,18 @@ def raw_command(library: Library, position: np.ndarray, quaternion: np.ndarray) 
 def test_outside_of_the_workspace_and_of_joint_limits(compiler, tmp_path, case):
     """Such commands are written, and say so."""
     found = case(HYBRID)
-    chain, bounds = found.compensator.robot.chain, found.compensator.workspace
+    chain, bounds = found.solver.robot.chain, found.compensator.workspace
     u = np.zeros((2, 6))
     u[:, 3] = bounds[0, 1] * np.array([1.0, 1.1]) - [1e-4, 0.0]
-    desired = found.compensator.robot.measured(pose_at(chain, u))
+    desired = found.solver.robot.measured(pose_at(chain, u))
     flags = found.library.commands(desired).flags
     assert list(flags & OUTSIDE_WORKSPACE) == [0, OUTSIDE_WORKSPACE]
     assert not (flags & BEYOND_LIMITS).any()
-    tight = replace(found.compensator.robot, chain=replace(chain, upper=np.minimum(chain.upper, chain.home + 0.05)))
+    tight = replace(found.solver.robot, chain=replace(chain, upper=np.minimum(chain.upper, chain.home + 0.05)))
     narrow = Compensator.of(ModelMethod(tight), found.channels, found.loaded.description.workspace)
     counts = (len(chain.actuated), chain.n_joints, len(chain.passive))
     library = Library.of(sources(narrow, "kincal_it", ["tight"]), "kincal_it", counts, compiler, tmp_path)
-    desired = narrow.method.predict(found.readings(50, seed=26))
+    desired = narrow.solver.method.predict(found.readings(50, seed=26))
     answers = library.commands(desired)
     assert answers.found.all()
     assert library.commands(tight.measured(pose_at(tight.chain, np.zeros((1, 6))))).flags[0] == 0
@@ -338,7 +348,7 @@ def test_any_text_is_safe_in_strings(compiler, tmp_path):
 def test_strange_names_in_comments(compensated, compiler, tmp_path):
     """What the code says of its robot can't end the comment that says it, nor break the code."""
     _, compensator = compensated("ups3_s, geometric")
-    chain = compensator.robot.chain
+    chain = compensator.solver.robot.chain
     names = tuple(f'{n} */ "x" ??/' for n in chain.joint_names)
     robot = replace(compensator.robot, chain=replace(chain, joint_names=names))
     files = sources(replace(compensator, robot=robot), "kincal_it", STRANGE)
@@ -352,4 +362,4 @@ def test_what_does_not_decide_the_tool_is_refused(compensated):
     """3-RPS by its heading alone: neither height nor tilt."""
     loaded, compensator = compensated("parasitic motion")
     with pytest.raises(InputError, match=r"yaw, does not decide"):
-        Compensator.of(compensator.method, ("yaw",), loaded.description.workspace)
+        Compensator.of(compensator.solver.method, ("yaw",), loaded.description.workspace)

@@ -75,7 +75,7 @@ def test_what_a_stage_hands_on_is_read_back_from_the_store(clean, tmp_path, monk
                 used.extend(given.values())
                 return answer(**given)
 
-            watching.__module__ = answer.__module__
+            watching.__module__, watching.__name__ = answer.__module__, answer.__name__
             object.__setattr__(stage, "function", watching)
             assert runner.all_stages()[name].function is watching
         run = runner.Run(load_robot("ups3_s", QUICK), Store(tmp_path / "store"))

@@ -53,7 +53,7 @@ def test_a_controllers_own_build(session, tmp_path):
     text = "\n".join(" ".join(map(repr, map(float, row))) for row in rows)
     said = subprocess.run([tmp_path / "program"], input=text, capture_output=True, text=True, check=True, timeout=10)
     printed = np.array([line.split() for line in said.stdout.splitlines()[1:]], dtype=float)
-    np.testing.assert_allclose(printed[:, :3], method.command(desired, found.channels)[0], rtol=0, atol=1e-9)
+    np.testing.assert_allclose(printed[:, :3], readings, rtol=0, atol=1e-9)
 
 
 def test_where_it_may_write(session, tmp_path):

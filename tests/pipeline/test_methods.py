@@ -11,9 +11,11 @@ from scipy.spatial.transform import Rotation, Slerp
 from kincal.identification.accuracy import gravity_error
 from kincal.learning.network import Network
 from kincal.learning.transfer import new_network, train
+from kincal.pipeline.compensator.commands import commands
+from kincal.pipeline.compensator.goal import WHOLE
+from kincal.pipeline.compensator.solvers import Solvers
 from kincal.pipeline.learned import Corrected, Learned
 from kincal.pipeline.methods.charts import Chart
-from kincal.pipeline.methods.commands import commands
 from kincal.pipeline.methods.predictors import METHODS, HybridMethod, ModelMethod, NetworkMethod, build
 from kincal.pipeline.results import Fit
 from kincal.urdf.errors import InputError
@@ -151,8 +153,8 @@ def desired(robot):
     return desired
 
 
-def assert_reached(method, wanted: Motion, translates: bool) -> np.ndarray:
-    readings, reached = method.command(wanted)
+def assert_reached(loaded, method, wanted: Motion, translates: bool) -> np.ndarray:
+    readings, reached = loaded.command(method, wanted)
     assert reached.all()
     got = method.predict(readings)
     np.testing.assert_allclose(got.rotation, wanted.rotation, atol=1e-9)
@@ -166,7 +168,7 @@ def test_a_model_reaches_what_it_is_commanded(robot, desired, name):
     """Prediction at the command against the desired pose."""
     loaded = robot(name)
     p = loaded.random_parameters(7, instrument=frame([0.5, 0.1, 0.2, 1.0, -2.0, 0.5]))
-    assert_reached(ModelMethod(loaded.model.robot(p)), desired(name, p), 0 in loaded.chain.tool_axes)
+    assert_reached(loaded, ModelMethod(loaded.model.robot(p)), desired(name, p), 0 in loaded.chain.tool_axes)
 
 
 @pytest.mark.parametrize("size", [1e-4, 3e-3], ids=["small correction", "large correction"])
@@ -177,11 +179,11 @@ def test_hybrid_reaches_what_it_is_commanded(robot, desired, correction, name, s
     loaded = robot(name)
     p = loaded.random_parameters(7, instrument=frame([0.5, 0.1, 0.2, 1.0, -2.0, 0.5]))
     method = hybrid(loaded, p, correction(loaded, size, shrinkage, hull))
-    readings = assert_reached(method, desired(name, p), 0 in loaded.chain.tool_axes)
+    readings = assert_reached(loaded, method, desired(name, p), 0 in loaded.chain.tool_axes)
     share = method.correction.share(readings)
     assert np.all(share <= shrinkage)
     assert np.any((share > 0) & (share < 1)) == (shrinkage < 1)
-    apart = np.abs(readings - method.geometric.command(desired(name, p))[0]).max(axis=1)
+    apart = np.abs(readings - loaded.command(method.geometric, desired(name, p))[0]).max(axis=1)
     assert np.all(apart[share > 0.1] > 1e-7)
 
 
@@ -193,7 +195,7 @@ def test_a_network_reaches_what_it_is_commanded(robot, desired, channels):
     chart = Chart(loaded.model.robot(p), channels)
     method = NetworkMethod(trained(chart, loaded.readings(125, seed=8)), chart)
     wanted = desired("ups3_s", p)
-    readings, reached = method.command(wanted)
+    readings, reached = loaded.command(method, wanted)
     assert reached.all()
     got = method.predict(readings)
     if chart.tilt:
@@ -210,7 +212,7 @@ def test_a_network_of_a_robot_that_translates(robot, desired):
     method = NetworkMethod(trained(chart, loaded.readings(400, seed=8)), chart)
     u = 0.7 * loaded.coordinates(8, seed=12)
     wanted = loaded.model.robot(p).measured(pose_at(loaded.chain, u))
-    readings, reached = method.command(wanted)
+    readings, reached = loaded.command(method, wanted)
     assert reached.all()
     got = method.predict(readings)
     np.testing.assert_allclose(got.rotation, wanted.rotation, atol=1e-9)
@@ -224,7 +226,7 @@ def test_a_network_says_what_it_does_not_reach(robot):
     method = NetworkMethod(trained(chart, loaded.readings(125, seed=8)), chart)
     inside, outside = np.zeros(6), np.array([0, 0, 0, np.deg2rad(130), 0, 0])
     wanted = chart.robot.measured(pose_at(loaded.chain, np.stack([inside, outside])))
-    assert method.command(wanted)[1].tolist() == [True, False]
+    assert loaded.command(method, wanted)[1].tolist() == [True, False]
 
 
 def assert_same(one: Motion, other: Motion) -> None:
@@ -241,9 +243,9 @@ def test_where_nothing_is_believed_hybrid_is_geometric(robot, desired, correctio
     method = hybrid(loaded, p, correction(loaded, 3e-3, shrinkage, hull))
     readings, wanted = loaded.readings(20, seed=3), desired(name, p)
     assert_same(method.geometric.predict(readings), method.predict(readings))
-    commanded, reached = method.command(wanted)
+    commanded, reached = loaded.command(method, wanted)
     assert reached.all()
-    np.testing.assert_allclose(commanded, method.geometric.command(wanted)[0], rtol=0, atol=1e-12)
+    np.testing.assert_allclose(commanded, loaded.command(method.geometric, wanted)[0], rtol=0, atol=1e-12)
 
 
 def test_a_row_outside_is_geometric_among_others(robot, correction):
@@ -305,7 +307,7 @@ def test_the_command_is_the_fixed_point(robot, correction, millimetres):
     tool = pose_at(built.chain, 0.9 * loaded.coordinates(20, seed=13))
     closure = inverse(built.chain, tool_coordinates(built.chain, tool))
     wanted = closure.q[:, built.chain.actuated]
-    readings, reached = method.command(built.measured(closure.pose))
+    readings, reached = loaded.command(method, built.measured(closure.pose))
     assert reached.all()
     delta = method.correction(readings)
     np.testing.assert_allclose(built.actuators.joints(readings) + delta, wanted, rtol=0, atol=1e-11)
@@ -366,7 +368,8 @@ def command(loaded, angles_deg, max_condition: float = 100.0, correction=None) -
         method = HybridMethod(method, robot, correction)
     workspace = loaded.description.workspace.model_copy(update={"max_condition": max_condition})
     numbers = 10 * np.arange(1, len(u) + 1)
-    found = commands(method, pose_at(loaded.chain, u), loaded.chain, model.actuators, workspace, numbers)
+    solver = Solvers(workspace).of(method, WHOLE)
+    found = commands(solver, pose_at(loaded.chain, u), loaded.chain, model.actuators, workspace, numbers)
     found.check()
     return found.readings
 

@@ -47,16 +47,6 @@ def test_registering_alone_does_not_touch_the_zeros(robot):
     assert np.abs(found.predict(measured.readings).rotation - truth.predict(measured.readings).rotation).max() > 1e-4
 
 
-def test_commands_follow_the_move(robot):
-    """predict(command(desired)) = desired, W and zeros moved."""
-    method, _, measured, _ = another_day(robot, "ups3_s", ("orientation",), 4)
-    found = refitted(method, measured, register=True, rehome=True)
-    desired = found.predict(measured.readings)
-    readings, reached = found.command(desired)
-    assert reached.all()
-    assert np.abs(readings - measured.readings).max() < 1e-9
-
-
 def test_too_few_poses_are_refused(robot):
     method, _, measured, _ = another_day(robot, "ups3_s", ("orientation",), 5)
     with pytest.raises(InputError, match="2 poses can't register"):

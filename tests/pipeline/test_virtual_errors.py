@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from kincal.identification.error_model import ErrorModel
 from kincal.pipeline.results import Measured, Truth
-from kincal.pipeline.stages.drawing import model
+from kincal.pipeline.stages.drawing import model_stage
 from kincal.pipeline.stages.fresh_poses import fresh_poses as of_virtual_robot
 from kincal.pipeline.stages.robot_data import DrawnRobot
 from kincal.pipeline.virtual.errors import Circumstances, approaches, clearance
@@ -352,6 +352,6 @@ def quaternions(measured: Measured) -> Rotation:
 def fresh_poses(truth: Truth, robot) -> tuple[np.ndarray, Motion]:
     """Readings of poses that a method is scored on, and the truth there."""
     description = robot("ups3_s").description
-    drawn = DrawnRobot.of(model(description.mechanism, description.urdf), description)
+    drawn = DrawnRobot.of(model_stage(description.mechanism, description.urdf), description)
     at, pose = of_virtual_robot(drawn, truth, 40, 0)
     return at.readings, pose

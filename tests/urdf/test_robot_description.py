@@ -224,8 +224,18 @@ def test_a_column_map_from_a_file_of_its_own(tmp_path):
 
 
 def test_a_table_that_is_set_is_what_is_measured():
-    """Whatever the drawing says; who wants a virtual robot beside it says so."""
-    table = "measure.table=poses.csv"
-    assert not load_robot("ups3_s", [table]).description.measure.virtual
-    assert load_robot("ups3_s", [table, 'measure.source="virtual"']).description.measure.virtual
+    """A setting goes over robot.toml, in both directions."""
+    assert not load_robot("ups3_s", ["measure.table=poses.csv"]).description.measure.virtual
     assert load_robot("ups3_s", []).description.measure.virtual
+
+
+def test_a_virtual_robot_with_measurements_is_refused(edited):
+    """In robot.toml and in settings; a setting that asks for a virtual robot alone goes over robot.toml's table."""
+    both = 'source = "virtual"\ntable = "poses.csv"'
+    file = edited(toml=[('source = "virtual" # a robot with known errors measures itself', both)])
+    with pytest.raises(InputError, match=r'source = "virtual" and table = "poses.csv".*Delete source'):
+        load_robot(str(file))
+    assert load_robot(str(file), ['measure.source="virtual"']).description.measure.table is None
+    assert not load_robot(str(file), ["measure.table=other.csv"]).description.measure.virtual
+    with pytest.raises(InputError, match=r'source = "virtual" and commands'):
+        load_robot("ups3_s", ['measure.source="virtual"', "measure.commands=log.csv", "measure.streams=s.csv"])

@@ -9,15 +9,18 @@ import pandas as pd
 
 from kincal.identification.channels import parts
 from kincal.identification.measurements import canonical_table, to_measurements
+from kincal.pipeline.compensator.commands import Commands, commands
+from kincal.pipeline.compensator.goal import Goal
+from kincal.pipeline.compensator.solvers import Solvers
 from kincal.pipeline.methods.calibrated import CalibratedRobot
-from kincal.pipeline.methods.commands import Commands, commands
-from kincal.pipeline.methods.goal import Goal
 from kincal.urdf.errors import InputError
 from kincal.urdf.rigid_motion import Motion
 from kincal.urdf.workspace import AXES
 
 
-def commands_of(calibrated: CalibratedRobot, method: str, raw: pd.DataFrame, source: Path | str) -> Commands:
+def commands_of(
+    calibrated: CalibratedRobot, solvers: Solvers, method: str, raw: pd.DataFrame, source: Path | str
+) -> Commands:
     """The actuators' readings that reach the poses of a table (a measurement table without joints). Raises InputError.
 
     Whether a pose can be reached is a matter of each row; see `Commands`.
@@ -25,8 +28,8 @@ def commands_of(calibrated: CalibratedRobot, method: str, raw: pd.DataFrame, sou
     model, description = calibrated.model, calibrated.description
     table = canonical_table(raw, (), description.measure.model_copy(update={"columns": {}}), source)
     desired, known, numbers = _desired(table, calibrated, source)
-    chosen = calibrated.methods[method]
-    return commands(chosen, desired, model.chain, model.actuators, description.workspace, numbers, known)
+    solver = solvers.of(calibrated.methods[method], known)
+    return commands(solver, desired, model.chain, model.actuators, description.workspace, numbers)
 
 
 def _desired(
@@ -56,4 +59,4 @@ def _desired(
         pose = Motion(pose.rotation, np.broadcast_to(home.translation, pose.translation.shape))
     measured = identified.channels
     known = tuple(sorted(parts(wanted.channels) & parts(measured)))
-    return pose, known if Goal.of(robot, pose, known).decided() else measured, wanted.pose
+    return pose, known if Goal.of(robot, known).decided else measured, wanted.pose

@@ -1,4 +1,4 @@
-"""The command that reaches the desired pose: predict(q) = desired, in the measurement frame, batched."""
+"""Commands that reach desired poses, and the obstacles of those that cannot be reached."""
 
 from __future__ import annotations
 
@@ -6,8 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from kincal.pipeline.methods.goal import WHOLE
-from kincal.pipeline.methods.predictors import Method
+from kincal.pipeline.compensator.solver import Solver
 from kincal.urdf.actuators import Actuators
 from kincal.urdf.closed_chain import ClosedChain
 from kincal.urdf.description import Workspace
@@ -32,16 +31,11 @@ class Attempt:
         return self.reached & self.closure.closed & inside & (self.condition <= workspace.max_condition)
 
 
-def attempt(
-    method: Method, desired: Motion, chain: ClosedChain, actuators: Actuators, channels: tuple[str, ...] = WHOLE
-) -> Attempt:
-    """The commands for desired poses (n) in the measurement frame; chain and actuators are the nominal ones.
-
-    channels: the parts of the desired poses that are known, as in `Method.command`.
-    """
-    readings, reached = method.command(desired, channels)
-    closure = forward(chain, actuators.joints(readings))
-    return Attempt(readings, reached, closure, condition_numbers(chain, closure.q))
+def attempt(solver: Solver, desired: Motion, chain: ClosedChain, actuators: Actuators) -> Attempt:
+    """The commands for desired poses (n) in the measurement frame; chain and actuators are the nominal ones."""
+    commanded = solver.commands(desired)
+    closure = forward(chain, actuators.joints(commanded.readings))
+    return Attempt(commanded.readings, commanded.reached, closure, condition_numbers(chain, closure.q))
 
 
 @dataclass(frozen=True)
@@ -60,16 +54,10 @@ class Commands:
 
 
 def commands(
-    method: Method,
-    desired: Motion,
-    chain: ClosedChain,
-    actuators: Actuators,
-    workspace: Workspace,
-    poses: np.ndarray,
-    channels: tuple[str, ...] = WHOLE,
+    solver: Solver, desired: Motion, chain: ClosedChain, actuators: Actuators, workspace: Workspace, poses: np.ndarray
 ) -> Commands:
     """Readings that reach desired poses (n), numbered `poses` (n,), as far as they can be reached."""
-    tried = attempt(method, desired, chain, actuators, channels)
+    tried = attempt(solver, desired, chain, actuators)
     return Commands(poses, tried.readings, _obstacles(tried, chain, workspace))
 
 

@@ -1,0 +1,28 @@
+"""A mistake that a table of measurements may have: its cause in words, and the measurements without it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from kincal.identification.channels.channel import Channel
+from kincal.identification.error_model import ErrorModel
+from kincal.identification.measurements import Measurements
+
+
+@dataclass(frozen=True)
+class Mistake:
+    """Tried where measurements contradict the drawing: named if the residuals are much smaller without it."""
+
+    cause: str
+    undone: Callable[[Measurements], Measurements]
+
+
+Kind = Callable[[ErrorModel, Measurements], Iterator[Mistake]]  # all of one kind that these measurements may have
+
+
+def of_values(cause: str, channel: Channel, change: Callable[[np.ndarray], np.ndarray]) -> Mistake:
+    """A mistake in the values of one channel."""
+    return Mistake(cause, lambda m: m.replaced(**{channel.name: change(m.values[channel.name])}))
