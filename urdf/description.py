@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import datetime
 import difflib
 import json
 import math
@@ -247,11 +248,11 @@ class Measure(_Table):
             raise ValueError("commands and table both say the joint values; give either")
         if self.commands is not None and self.streams is None:
             raise ValueError("commands need the stream that was logged beside them: set measure.streams")
-        measured = next((key for key in ("table", "commands", "streams") if getattr(self, key) is not None), None)
+        measured = next((key for key in ("table", "commands") if getattr(self, key) is not None), None)
         if self.source == "virtual" and measured is not None:
             raise ValueError(
-                f'source = "virtual" and {measured} = "{getattr(self, measured).name}": a virtual robot measures itself '
-                f"and would ignore your measurements. Delete source to use them, or delete {measured} to simulate"
+                f'source = "virtual" and {measured} = "{getattr(self, measured).name}": a virtual robot simulates its '
+                f"measurements. Delete source to use yours, or delete {measured} to simulate"
             )
         if self.source == "files" and self.table is None and self.commands is None:
             raise ValueError('source = "files" needs a table: set measure.table to a CSV or Parquet file')
@@ -369,6 +370,28 @@ class Instruments(_Table):
     tolerance: Tolerance
 
 
+class Limits(_Table):
+    """Errors that the recommended method may have at held-out poses, the instruments' noise included."""
+
+    mean_mm: Positive | None = None
+    max_mm: Positive | None = None
+    mean_deg: Positive | None = None
+    max_deg: Positive | None = None
+
+    @property
+    def given(self) -> dict[str, float]:
+        """{name: limit} of those that are set."""
+        return {name: value for name, value in self if value is not None}
+
+
+class Record(_Table):
+    """Whose calibration this is: printed on top of the report, nothing depends on it."""
+
+    serial: str = ""  # of the unit
+    operator: str = ""
+    date: datetime.date | None = None  # of the measurements
+
+
 class RobotDescription(Mechanism):
     name: Name
     urdf: File
@@ -387,6 +410,8 @@ class RobotDescription(Mechanism):
     siblings: Siblings = Siblings()
     correct: Correct = Correct()
     evaluate: Evaluate = Evaluate()
+    limits: Limits = Limits()
+    record: Record = Record()
 
     @model_validator(mode="after")
     def _actuators(self) -> RobotDescription:
@@ -445,6 +470,7 @@ class Setting:
 PATHS = (("urdf",), ("measure", "table"), ("measure", "streams"), ("measure", "commands"))
 
 
+_DRAWINGS = (".urdf", ".xml", ".mjcf", ".xacro", ".sdf")
 _MEASURED, _SOURCE = (("measure", "table"), ("measure", "commands")), ("measure", "source")
 
 
@@ -564,6 +590,8 @@ def find_robot(robot: str) -> Path:
     if os.path.isfile(path / "robot.toml"):  # unlike Path.is_file, quiet where a folder may not be looked into
         return (path / "robot.toml").absolute()
     if os.path.isfile(path):
+        if path.suffix in _DRAWINGS:
+            raise InputError(f"{robot}: a drawing, not a robot.toml. Run `kincal init {robot}` first: it proposes one")
         return path.absolute()
     shipped = ROBOTS / robot / "robot.toml"
     if "/" not in robot and os.path.isfile(shipped):

@@ -24,7 +24,7 @@ def load(reference: str, overrides: Sequence[str] = ()) -> Robot:
     try:
         return _reopenable(load_robot(reference, overrides), reference, overrides)
     except InputError:
-        if os.path.isfile(reference) and "design" in read_toml(Path(reference)):
+        if reference.endswith(".toml") and os.path.isfile(reference) and "design" in read_toml(Path(reference)):
             which = f"--all --from {reference}, or one unit, {reference}:NAME"
             raise InputError(f"{reference}: a fleet, not a robot: {which}") from None
         raise

@@ -2,14 +2,22 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated
 
 from cyclopts import Parameter
 from rich.text import Text
 
-from kincal.pipeline.commands.console import out, print_json, print_table, short, show_comparison
+from kincal.pipeline.commands.console import (
+    check_verdict,
+    print_json,
+    print_table,
+    say,
+    short,
+    show_comparison,
+    show_findings,
+    show_verdict,
+)
 from kincal.pipeline.commands.fleet import compare_fleet, run_fleet
 from kincal.pipeline.commands.options import (
     COMMON,
@@ -65,15 +73,18 @@ def run(
         page = calibration.report()
     if json:
         print_json(calibration.document(last))
+        check_verdict(calibration.verdict if until == "report" else None)
         return
     if until != "report":
         calibration.until(until)
         return
     show_comparison(calibration.comparison)
+    show_findings(calibration.fit)
     if page.is_file():
-        out.print(Text(f"report: {short(page)}"))
+        say(f"Report: {short(page)}")
     else:
         err.print(Text(f"warning: {page}: can't be written", style="yellow"), soft_wrap=True)
+    show_verdict(calibration.verdict)
 
 
 def compare(
@@ -99,28 +110,33 @@ def compare(
     calibration = opened(robots[0], common)
     if json:
         print_json(calibration.document())
+        check_verdict(calibration.verdict)
     else:
         show_comparison(calibration.comparison)
+        show_verdict(calibration.verdict)
 
 
 def inspect(
     robot: Robot,
     *,
     before: Flag = False,
+    all: Annotated[bool, Parameter(name="--all", negative=())] = False,
     plot: Path | None = None,
     json: Json = False,
     common: Common = COMMON,
 ) -> None:
-    """Every parameter: nominal, identified, change, sigma; what could not be seen, and how sure the rest is.
+    """Show the identified geometry: verdict, findings, and the parameters that moved.
 
     Parameters
     ----------
     before
-        From the planned poses and the sensors alone, before anybody measures.
+        Predict what the planned poses will determine, before anybody measures.
+    all
+        Also list every parameter, and the directions that the measurements do not determine.
     plot
         Draw singular values, shares and changes into this .svg, .png or .pdf file.
     """
-    from kincal.pipeline.commands.inspection import show_foresight, show_inspection
+    from kincal.pipeline.commands.inspection import show_foresight, show_inspection, show_whole_inspection
 
     calibration = opened(robot, common)
     if before:
@@ -133,14 +149,19 @@ def inspect(
             fit.plot(plot)
     if json:
         document = foresight.to_dict() if before else fit.to_dict()
-        print_json(document | {"provenance": calibration.provenance("plan" if before else "identify")})
+        print_json(
+            document
+            | {"virtual": calibration.virtual, "provenance": calibration.provenance("plan" if before else "identify")}
+        )
         return
     if before:
         show_foresight(foresight)
+    elif all:
+        show_whole_inspection(fit)
     else:
         show_inspection(fit)
     if plot is not None:
-        out.print(Text(f"plot: {short(plot.absolute())}"))
+        say(f"Plot: {short(plot.absolute())}")
 
 
 def status(robot: Robot, *, json: Json = False, common: Common = COMMON) -> None:
@@ -214,7 +235,9 @@ def evaluate(
     comparison = calibration.evaluation(data, register=register, rehome=rehome, columns=columns)
     if not json:
         show_comparison(comparison)
+        show_verdict(calibration.verdict_of(comparison))
         return
     files = {"data": data} | ({"columns": columns} if columns else {})
     provenance = calibration.provenance("identify", "transfer", "correct", files=files)
-    print_json(asdict(comparison) | {"provenance": provenance})
+    print_json(calibration.comparison_document(comparison) | {"provenance": provenance})
+    check_verdict(calibration.verdict_of(comparison))

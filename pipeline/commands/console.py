@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 import sys
 from pathlib import Path
 from typing import Any, Literal
@@ -11,34 +12,74 @@ from rich.console import Console
 from rich.table import Table as RichTable
 from rich.text import Text
 
-# A fixed width: a pipe has none, and a terminal wraps a long line better than rich cuts a table.
-out = Console(highlight=False, width=300)
-aside = Console(stderr=True, highlight=False, width=300)  # tables on stderr
+from kincal.urdf.errors import CalibrationError
+
+
+class _Console(Console):
+    """Of a fixed width: a pipe has none, and a terminal wraps a long line better than rich cuts a table."""
+
+    def on_broken_pipe(self) -> None:
+        """Whoever reads has seen enough: `kincal .. | head` is no error (rich would exit with 1)."""
+        raise BrokenPipeError
+
+
+out = _Console(highlight=False, width=300)
+aside = _Console(stderr=True, highlight=False, width=300)  # tables on stderr
+
+
+def say(text: str, style: str = "") -> None:
+    """A line on stdout; a terminal gets it wrapped between words, a file or a pipe as one line."""
+    width = shutil.get_terminal_size().columns if sys.stdout.isatty() else None
+    out.print(Text(text, style=style), width=width, soft_wrap=width is None)
 
 
 def show_comparison(compared) -> None:
+    """The methods side by side, and the recommendation."""
     from kincal.pipeline.report.tables import comparison_tables
 
     source = "virtual robot" if compared.source == "virtual" else compared.source
     scored = {
-        "fresh": f"{compared.n_scored} fresh poses, noise-free truth",
-        "held_out": f"{compared.n_scored} measured poses, each held out once (cross-validation)",
-    }.get(compared.scored_on, f"{compared.scored_on}, {compared.n_scored} poses")
-    out.print(Text(f"{compared.robot}: {compared.n_poses} measured poses ({source}), scored on {scored}", style="bold"))
+        "fresh": f"error at {compared.n_scored} fresh poses, without noise",
+        "held_out": f"error at {compared.n_scored} measured poses, each held out once (cross-validation)",
+    }.get(compared.scored_on, f"error at {compared.n_scored} poses of {compared.scored_on}")
+    say(f"{compared.robot}: calibrated with {compared.n_poses} poses ({source})", "bold")
+    say(f"Methods, {scored}")
     for table in comparison_tables(compared.methods, compared.raw_nominal):
         show_table(table)
     if compared.closed_loop:
-        out.print(Text("after compensation, where the virtual robot is against where it should be", style="bold"))
+        say("Error after compensation (virtual robot)")
         for table in comparison_tables(compared.closed_loop):
             show_table(table)
         for name, n in compared.not_reached.items():
-            out.print(f"{name} has no command for {n} of the desired poses; its row is of the others")
+            say(f"{name} reaches all but {n} of the desired poses; its row leaves those out")
     if compared.advice is not None:
-        out.print(Text(compared.advice.text), soft_wrap=True)
+        say(compared.advice.text)
+
+
+def show_findings(fit) -> None:
+    """What to check before the result is used: findings, then outliers."""
+    from kincal.pipeline.report.inspection import finding_lines
+
+    outliers = [(o.pose, o.reason) for o in fit.identification.outliers]
+    for line in finding_lines(fit.findings, outliers):
+        say(line, "yellow")
+
+
+def show_verdict(verdict) -> None:
+    """Pass or fail, where limits are set. Raises CalibrationError for fail."""
+    if verdict is not None and verdict.passed:
+        say(verdict.line, "bold green")
+    check_verdict(verdict)
+
+
+def check_verdict(verdict) -> None:
+    """Raises CalibrationError where an error is above its limit."""
+    if verdict is not None and not verdict.passed:
+        raise CalibrationError(verdict.line)
 
 
 def show_table(table, align: Literal["left", "right"] = "right", console: Console = out) -> None:
-    shown = RichTable(box=None, pad_edge=False, header_style="bold")
+    shown = RichTable(box=None, pad_edge=False, collapse_padding=True, header_style="bold")
     for k, column in enumerate(table.columns):
         shown.add_column(Text(column), justify="left" if k == 0 else align, no_wrap=True)
     for row in table.rows:

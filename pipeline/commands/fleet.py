@@ -9,11 +9,12 @@ from typing import TYPE_CHECKING
 
 from rich.text import Text
 
-from kincal.pipeline.commands.console import out, print_json, short, show_comparison, show_table
+from kincal.pipeline.commands.console import out, print_json, say, short, show_comparison, show_table
 from kincal.pipeline.commands.options import Common, command_line
 from kincal.urdf.errors import InputError
 
 if TYPE_CHECKING:
+    from kincal.pipeline.interface.changes import CampaignChanges
     from kincal.pipeline.interface.fleets import FleetResult
 
 
@@ -38,13 +39,32 @@ def compare_fleet(
 ) -> None:
     """Raises as run_fleet does."""
     result = _carried(robots, everything, source, on, "evaluate", None, common)
+    changes = _changes(robots, common) if len(robots) == 2 and len(result.comparisons) == 2 else None
     if json and not everything:
-        print_json([asdict(comparison) | {"provenance": made_of} for comparison, made_of in result.comparisons])
+        documents = [asdict(comparison) | {"provenance": made_of} for comparison, made_of in result.comparisons]
+        if changes is not None:
+            documents[-1]["changes"] = changes.to_dict()
+        print_json(documents)
     else:
         for comparison, _ in () if everything else result.comparisons:
             show_comparison(comparison)
         _show(result, json)
+        if changes is not None:
+            for line in changes.lines:
+                say(line, "bold")
+            if changes.changed:
+                show_table(changes.shown())
     result.check()
+
+
+def _changes(robots: Sequence[str], common: Common) -> CampaignChanges | None:
+    """Between two campaigns of one robot; None: they are two designs."""
+    from kincal.pipeline.interface.calibration import Calibration
+    from kincal.pipeline.interface.changes import changes_between
+    from kincal.pipeline.interface.robots import load
+
+    before, after = (Calibration.open(load(robot, common.overrides), store=common.store).fit for robot in robots)
+    return changes_between(before, after)
 
 
 def _carried(

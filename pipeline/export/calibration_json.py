@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from kincal.identification.error_model import BuiltRobot
 from kincal.identification.identification import Identification
-from kincal.pipeline.report.tables import parameters_json
+from kincal.pipeline.report.parameters import parameters_json
 from kincal.urdf.actuators import Actuators
 from kincal.urdf.closed_chain import BASE, ClosedChain, LoopClosure
 from kincal.urdf.description import RobotDescription

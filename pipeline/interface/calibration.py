@@ -26,8 +26,10 @@ if TYPE_CHECKING:
     from kincal.pipeline.compensator.solvers import Solvers
     from kincal.pipeline.export.formats import Export
     from kincal.pipeline.interface.campaign import Foresight
+    from kincal.pipeline.interface.changes import CampaignChanges
     from kincal.pipeline.interface.fit import Fit
     from kincal.pipeline.methods.calibrated import CalibratedRobot
+    from kincal.pipeline.report.verdict import Verdict
     from kincal.pipeline.results import Comparison
     from kincal.pipeline.run.runner import Run
 
@@ -128,6 +130,40 @@ class Calibration:
         """Which method to use, and what error to expect."""
         advice = self.comparison.advice
         return "" if advice is None else advice.text
+
+    @property
+    def virtual(self) -> bool:
+        """Whether the robot is simulated: no measurement of a real robot went into any result."""
+        return self.robot.description.measure.virtual
+
+    @property
+    def verdict(self) -> Verdict | None:
+        """Whether the recommended method meets `[limits]` at held-out poses as measured; None: no limits are set.
+
+        Raises InputError for a limit on a quantity that was not measured.
+        """
+        return self.verdict_of(self.comparison)
+
+    def verdict_of(self, compared: Comparison) -> Verdict | None:
+        """Judge another comparison, as `evaluation` returns it, by the same limits. Raises InputError as `verdict`."""
+        from kincal.pipeline.report.verdict import verdict
+
+        limits = self.robot.description.limits
+        advice = self.comparison.advice if limits.given else None
+        return None if advice is None else verdict(limits, compared, advice.method)
+
+    def changes_since(self, before: Calibration) -> CampaignChanges:
+        """Compare the geometry with that of an earlier campaign of the same robot, in sigmas.
+
+        Raises InputError where the two robots have different drawings.
+        """
+        from kincal.pipeline.interface.changes import changes_between
+
+        found = changes_between(before.fit, self.fit)
+        if found is None:
+            names = f"{before.robot.description.name} and {self.robot.description.name}"
+            raise InputError(f"{names}: two designs; allowed are two campaigns of one robot.toml")
+        return found
 
     def compare(self) -> pd.DataFrame:
         """Compare the six methods on poses that none of them has seen.
@@ -383,8 +419,16 @@ class Calibration:
         """
         self.until(stage)
         name = self.robot.description.name
-        document = asdict(self.comparison) if stage == "evaluate" else {"robot": name, "stage": stage}
+        document: dict[str, Any] = {"robot": name, "virtual": self.virtual, "stage": stage}
+        if stage == "evaluate":
+            document = self.comparison_document(self.comparison)
         return document | {"provenance": self.provenance(stage)}
+
+    def comparison_document(self, compared: Comparison) -> dict[str, Any]:
+        """A comparison with the verdict on it, as JSON."""
+        judged = self.verdict_of(compared)
+        verdict = None if judged is None else asdict(judged) | {"passed": judged.passed}
+        return asdict(compared) | {"virtual": self.virtual, "verdict": verdict}
 
     def provenance(self, *stages: str, files: Mapping[str, Path] | None = None) -> dict[str, Any]:
         """What the results of stages that are up to date were made of: command, seed, versions, digests.

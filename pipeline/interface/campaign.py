@@ -135,7 +135,7 @@ class Foresight:
 
     def to_dict(self) -> dict[str, Any]:
         """The document of `kincal inspect --before --json`, without its provenance."""
-        from kincal.pipeline.report.tables import foreseen_json
+        from kincal.pipeline.report.parameters import foreseen_json
 
         return foreseen_json(self.robot.description.name, self.foreseen.identification, self.foreseen.json())
 

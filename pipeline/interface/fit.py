@@ -87,7 +87,7 @@ class Fit:
 
     def to_dict(self) -> dict[str, Any]:
         """The document of `kincal inspect --json`, without its provenance."""
-        from kincal.pipeline.report.tables import parameters_json
+        from kincal.pipeline.report.parameters import parameters_json
 
         return parameters_json(self.robot.description.name, self.identification)
 

@@ -13,6 +13,7 @@ from rich.console import Console
 from rich.text import Text
 
 from kincal.pipeline.interface.arguments import observer
+from kincal.pipeline.run.changes import FIRST
 
 if TYPE_CHECKING:
     from rich.status import Status
@@ -53,8 +54,8 @@ class StageProgress:
 
     def __call__(self, event: Event) -> None:
         """Show what a stage does."""
-        why = f"  ({event.why})" if event.why else ""
-        label = f"{self._robot} {event.stage:<9}"
+        why = f"  ({event.why})" if event.why and event.why != FIRST else ""
+        label = f"{self._robot} {event.stage:<10}"
         if event.state == "running":
             if err.is_terminal:
                 self._live = err.status(Text(f"{label} running{why}"))

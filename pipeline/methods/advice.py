@@ -1,4 +1,4 @@
-"""The sentence that a comparison ends with: which method, what to expect of it, and whether more poses would pay."""
+"""The recommendation at the end of a comparison: which method, its expected error, and what more poses would bring."""
 
 from __future__ import annotations
 
@@ -12,14 +12,19 @@ from kincal.pipeline.methods.calibrated import SURE, Calibrated
 from kincal.pipeline.methods.predictors import METHODS
 from kincal.pipeline.results import Advice, MethodScore
 
-_PAYS = 0.2  # share of the expected error that is saved
+_GAIN = 0.2  # share of the expected error that makes more poses worth while
 _AS_GOOD = 1.02  # of two methods so near each other the simpler one is taken
 _STEEPEST = 1.0  # fall of the error with the number of poses, as a power: noise alone gives 1/2
 _LARGEST = 4.0  # times the poses: farther nothing is foretold
 
 
-def advise(calibrated: Calibrated, scores: Sequence[MethodScore], readings: np.ndarray) -> Advice:
-    """Of scored methods; expected errors are those of poses like the measured ones, at readings (n, n_actuated)."""
+def advise(
+    calibrated: Calibrated, scores: Sequence[MethodScore], readings: np.ndarray, findings: Sequence[str]
+) -> Advice:
+    """Of scored methods; expected errors are those of poses like the measured ones, at readings (n, n_actuated).
+
+    findings: of the identification, which the advice does not contradict.
+    """
     best, corrected = _best(scores), calibrated.corrected
     assert corrected is not None
     expected = _expected(calibrated, best, readings)
@@ -29,21 +34,27 @@ def advise(calibrated: Calibrated, scores: Sequence[MethodScore], readings: np.n
     n, more, saved = len(readings), None, 1.0
     power = _power(corrected.learning_curve, best)
     if power > 0:
-        factor = (1 - _PAYS) ** (-1 / power)
+        factor = (1 - _GAIN) ** (-1 / power)
         if factor <= _LARGEST:
             more = int(np.ceil(factor * n / 10) * 10)
             saved = (n / more) ** power
     later = tuple(None if e is None or more is None else saved * e for e in expected)
-    text = f"take {best}: a mean error of {_size(*expected)} is to be expected at poses like these {n}"
+    sentences = [f"Recommended: {best}.", f"Expected mean error at poses like the measured ones: {_size(*expected)}."]
     if more is not None:
-        text += f"; {more} poses would bring about {_size(*later)}"
+        sentences.append(f"With {more - n} more poses ({more}): about {_size(*later)}.")
     elif power > 0 or not len(corrected.learning_curve):
-        text += "; how much more poses would bring can't be told from so few" if n < 30 else "; more poses hardly pay"
+        few = f"{n} poses are too few to estimate the gain from more poses."
+        sentences.append(few if n < 30 else "More poses bring little.")
     else:
-        text += "; more poses would not pay: what is left does not fall with their number"
-    if best == "geometric" and corrected.correction.shrinkage == 0:
-        text += "; nothing was found that geometry can't explain"
-    return Advice(best, expected[0], expected[1], n, more, later[0], later[1], text)
+        sentences.append("More poses bring nothing: the remaining error does not fall with their number.")
+    if corrected.correction.shrinkage == 0:
+        unexplained = any("can't explain" in finding for finding in findings)
+        sentences.append(
+            "Neither geometry nor the learned correction explains the measurements: read the findings."
+            if unexplained
+            else "The learned correction is not used: cross-validation shows no gain."
+        )
+    return Advice(best, expected[0], expected[1], n, more, later[0], later[1], " ".join(sentences))
 
 
 def _best(scores: Sequence[MethodScore]) -> str:

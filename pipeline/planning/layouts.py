@@ -19,7 +19,8 @@ from kincal.identification.observability import Observability, observability
 from kincal.identification.poses import planned
 from kincal.identification.predicted_accuracy import PredictedAccuracy, Probe
 from kincal.identification.registration import MIN_POSES
-from kincal.pipeline.report.tables import Table, fixed
+from kincal.pipeline.report.numbers import fixed
+from kincal.pipeline.report.tables import Table
 from kincal.pipeline.store.files import refusing, replace_file
 from kincal.urdf.closed_chain import ClosedChain
 from kincal.urdf.description import Layout, Plan, RobotDescription, Sensor, Workspace

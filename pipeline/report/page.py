@@ -17,8 +17,10 @@ from kincal.identification.streams.campaign import Campaign
 from kincal.pipeline.learned import Corrected, Learned, Pretrained, SiblingResiduals
 from kincal.pipeline.report.figures import BLUE, GREY, RED, STYLE, clean, inline, svg
 from kincal.pipeline.report.identification_figures import changes, singular_values
+from kincal.pipeline.report.numbers import fixed
 from kincal.pipeline.report.pages import environment
-from kincal.pipeline.report.tables import collinear_lines, comparison_tables, fixed, parameter_table, wave_table
+from kincal.pipeline.report.parameters import collinear_lines, parameter_table
+from kincal.pipeline.report.tables import comparison_tables, wave_table
 from kincal.pipeline.results import Comparison, Filtered, Identified, Model
 
 

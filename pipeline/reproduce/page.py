@@ -11,8 +11,9 @@ from typing import Any
 
 from kincal.pipeline.methods.predictors import METHODS
 from kincal.pipeline.report import paper
+from kincal.pipeline.report.numbers import significant
 from kincal.pipeline.report.paper import AXES, INDICES, RANGES
-from kincal.pipeline.report.tables import Table, degrees
+from kincal.pipeline.report.tables import Table
 from kincal.pipeline.reproduce.claims import Claims, claims, claims_rows, pretraining
 from kincal.pipeline.reproduce.study import Reproduced, Row
 from kincal.pipeline.reproduce.tables import after_compensation, choices, figure_10, ranges, testing
@@ -77,7 +78,7 @@ def _verdicts(results: Reproduced, made: list[Claims]) -> list[str]:
         )
         over = choice.over_second
         ahead = f"{over.ratio:.2f} times better than {choice.second}, p = {over.p:.2g}"
-        verdicts.append(f"{advice}. Of all six {choice.best}: {degrees(choice.best_deg)} degrees, {ahead}")
+        verdicts.append(f"{advice}. Of all six {choice.best}: {significant(choice.best_deg)} degrees, {ahead}")
     study = results.study
     ours_first = sorted((c for c in made if c.scored_on == "fresh"), key=lambda c: c.hidden != study.hidden)
     return verdicts + [f"H = {c.hidden}: {c.better}; {c.fades}; {c.vanishes}" for c in ours_first]
@@ -97,7 +98,7 @@ def summary(document: dict[str, Any]) -> list[tuple[str, Table]]:
         for index in INDICES:
             parts = [cell(document, scored_on, method, AXES[3], index) for scored_on in SCORED]
             printed = parts[0]["paper_deg"]
-            line += [*(degrees(part["median_deg"]) for part in parts), "" if printed is None else f"{printed:.3f}"]
+            line += [*(significant(part["median_deg"]) for part in parts), "" if printed is None else f"{printed:.3f}"]
         rows.append(tuple(line))
     columns = ("method", *(f"{i}{way}" for i in INDICES for way in (" fresh", " held out", " paper")))
     n, seeds = document["study"]["measured"], document["study"]["seeds"]
@@ -113,7 +114,7 @@ def summary(document: dict[str, Any]) -> list[tuple[str, Table]]:
             line = [method]
             for label in labels:
                 printed = by[method, label]["paper_deg"]
-                line += [degrees(by[method, label]["median_deg"]), "" if printed is None else f"{printed:.3f}"]
+                line += [significant(by[method, label]["median_deg"]), "" if printed is None else f"{printed:.3f}"]
             lines.append(tuple(line))
         columns = ("method", *(part for label in labels for part in (label, "paper")))
         way = "fresh, noise-free" if scored_on == "fresh" else "held out, as the paper does"
@@ -132,7 +133,7 @@ def page(made: Findings) -> str:
     from kincal.pipeline.report.pages import environment
 
     templates = environment(Path(__file__).parent / "templates")
-    templates.filters["degrees"] = degrees
+    templates.filters["significant"] = significant
     return templates.get_template("page.html").render(
         document=made.document,
         figures={name: Markup(inline(svg, name)) for name, svg in made.figures.items()},

@@ -13,11 +13,13 @@ from kincal.urdf.input_files import check_file
 
 _LONGEST = 100  # letters of a changed value that are shown
 
+FIRST = "never ran for this robot"
+
 
 def explain(last: Mapping[str, Any] | None, parts: Mapping[str, Any]) -> str:
     """Why a stage runs: the difference of what its key was made of last time and now."""
     if last is None:
-        return "never ran for this robot"
+        return FIRST
     if not last:
         return "its artifact is gone or damaged"
     return change(last.get("parts", {}), parts) or "its artifact is gone or damaged"

@@ -7,8 +7,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from kincal.pipeline.report.numbers import significant
 from kincal.pipeline.report.paper import AXES, HARDWARE
-from kincal.pipeline.report.tables import Table, degrees
+from kincal.pipeline.report.tables import Table
 from kincal.pipeline.sea.configurations import Configurations
 from kincal.pipeline.sea.trial import SeaTrial
 
@@ -168,23 +169,24 @@ def summary(document: dict[str, Any]) -> list[tuple[str, Table]]:
     decks = [
         (
             row["method"],
-            *(degrees(row[key]["volumetric"]) for key in ("mean_deg", "max_deg", "sd_deg")),
-            *(degrees(row["mean_deg"][axis]) for axis in AXES[:3]),
-            degrees(calibration[row["method"]]["mean_deg"]["volumetric"]),
+            *(significant(row[key]["volumetric"]) for key in ("mean_deg", "max_deg", "sd_deg")),
+            *(significant(row["mean_deg"][axis]) for axis in AXES[:3]),
+            significant(calibration[row["method"]]["mean_deg"]["volumetric"]),
             str(row["not_reached"] or ""),
         )
         for row in document["deck_error"]
     ]
     parts = [
-        (row["part"], *(degrees(row[key]) for key in ("mean_deg", "rms_deg", "max_deg"))) for row in document["budget"]
+        (row["part"], *(significant(row[key]) for key in ("mean_deg", "rms_deg", "max_deg")))
+        for row in document["budget"]
     ]
     rows = []
     for row in document["configurations"]["rows"]:
         cells: list[str] = [row["method"]]
         for how, key in _PLACES.items():
             printed = row["paper"]
-            cells += [degrees(row[key]["volumetric"]), f"{printed[how][3]:.3f}" if printed else ""]
-        rows.append((*cells, degrees(row["tilted"]["mean_deg"]["volumetric"])))
+            cells += [significant(row[key]["volumetric"]), f"{printed[how][3]:.3f}" if printed else ""]
+        rows.append((*cells, significant(row["tilted"]["mean_deg"]["volumetric"])))
     share = "of it calibration" if document["scored"] == "orientation" else "of it calibration (tilt)"
     columns = ("method", "mean", "max", "SD", "x", "y", "z", share, "out of reach")
     n = document["configurations"]["testing"]

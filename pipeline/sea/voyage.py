@@ -11,9 +11,9 @@ import numpy as np
 
 from kincal.pipeline.methods.calibrated import calibrations
 from kincal.pipeline.methods.predictors import uncalibrated
+from kincal.pipeline.report.numbers import significant
 from kincal.pipeline.report.pages import environment
 from kincal.pipeline.report.paper import AXES
-from kincal.pipeline.report.tables import degrees
 from kincal.pipeline.results import RAW
 from kincal.pipeline.run.runner import Run
 from kincal.pipeline.run.stage import version
@@ -105,7 +105,7 @@ def write(results: Found, folder: Path) -> Path:
 
     drawn = figures(results.trial, results.poses)
     page = environment(Path(__file__).parent / "templates")
-    page.filters["degrees"] = degrees
+    page.filters["significant"] = significant
     html = page.get_template("voyage.html").render(
         document=results.document,
         axes=AXES,

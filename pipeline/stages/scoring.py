@@ -83,5 +83,5 @@ def evaluate_stage(
         not_reached={
             name: compensated.n_poses - n for name, n in compensated.reached.items() if n < compensated.n_poses
         },
-        advice=advise(shipped, methods, measurements.readings),
+        advice=advise(shipped, methods, measurements.readings, fits.identified.shipped.findings),
     )

@@ -7,7 +7,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from kincal.pipeline.report.tables import Table, fixed
+from kincal.pipeline.report.numbers import fixed
+from kincal.pipeline.report.tables import Table
 from kincal.pipeline.run.fan_out import Failure, Outcome
 from kincal.pipeline.store.files import replace_files
 from kincal.pipeline.store.manifest import Damaged

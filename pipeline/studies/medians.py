@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from kincal.pipeline.report.tables import Table, fixed
+from kincal.pipeline.report.numbers import fixed
+from kincal.pipeline.report.tables import Table
 from kincal.pipeline.studies.rows import UNITS, records
 from kincal.pipeline.studies.sweep import Sweep
 

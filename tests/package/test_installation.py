@@ -185,7 +185,7 @@ else:
 
 def test_the_example_of_the_docs_runs(environment, hostile):
     """The lines that a user types in a notebook, beside modules of the old names; on small settings."""
-    text = (ROOT / "docs" / "python.md").read_text()
+    text = (ROOT / "docs" / "how-to" / "python.md").read_text()
     example = re.search(r"```python\n(.*?)```", text, re.DOTALL)[1]
     assert '{"plan.poses": 60}' in example
     script = hostile / "notebook.py"

@@ -15,6 +15,7 @@ from kincal.identification.compiled import build, find_compiler
 from kincal.identification.measurements import quaternions
 from kincal.pipeline.compensator.code import quoted, sources
 from kincal.pipeline.compensator.compensator import Compensator
+from kincal.pipeline.compensator.goal import Goal
 from kincal.pipeline.compensator.library import (
     BEYOND_LIMITS,
     NOT_CONVERGED,
@@ -350,8 +351,9 @@ def test_strange_names_in_comments(compensated, compiler, tmp_path):
     _, compensator = compensated("ups3_s, geometric")
     chain = compensator.solver.robot.chain
     names = tuple(f'{n} */ "x" ??/' for n in chain.joint_names)
-    robot = replace(compensator.robot, chain=replace(chain, joint_names=names))
-    files = sources(replace(compensator, robot=robot), "kincal_it", STRANGE)
+    robot = replace(compensator.solver.robot, chain=replace(chain, joint_names=names))
+    solver = replace(compensator.solver, goal=Goal(robot, compensator.solver.goal.asked))
+    files = sources(replace(compensator, solver=solver), "kincal_it", STRANGE)
     counts = (len(chain.actuated), chain.n_joints, len(chain.passive))
     library = Library.of(files, "kincal_it", counts, compiler, tmp_path)
     names_in_c = (ctypes.c_char_p * counts[0]).in_dll(library.handle, "kincal_it_names")
