@@ -65,6 +65,9 @@ class Truth:
     errors: VirtualErrors
 
 
+VIRTUAL = "VIRTUAL ROBOT: simulated errors, not a calibration of a real robot"  # in every file made of one
+
+
 @dataclass(frozen=True)
 class Measured:
     """The measurement table, the raw streams beside it, and the truth behind both where the robot is virtual."""

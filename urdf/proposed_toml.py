@@ -16,6 +16,7 @@ from tomlkit.items import InlineTable, Item, Table
 from kincal.urdf.errors import InputError
 from kincal.urdf.proposal import Proposal, propose
 from kincal.urdf.proposed_loops import TOLERANCES, Meeting
+from kincal.urdf.schema import FILE
 
 
 @dataclass(frozen=True)
@@ -51,6 +52,7 @@ def write_proposal(drawing: Path, output: Path | None = None) -> Written:
 def robot_toml(proposal: Proposal, drawing: Path, output: Path) -> str:
     """The text of `output` for a robot whose URDF or MJCF is the file `drawing`."""
     mechanism, document = proposal.mechanism, tomlkit.document()
+    _say(document, f"Your editor checks this file once the schema is there: kincal schema --output {FILE}")
     _say(document, f"Proposed by `kincal init` from {drawing.name}: read every line before you trust it.")
     if proposal.problem:
         _say(document, f"NOT READY, kincal run refuses it: {proposal.problem}")
@@ -78,7 +80,8 @@ def robot_toml(proposal: Proposal, drawing: Path, output: Path) -> str:
     )
     document["plan"] = _table("", ("poses", 150, "to measure"))
     document["measure"] = _measure(proposal)
-    return re.sub(r"\n{3,}", "\n\n", tomlkit.dumps(document))
+    text = re.sub(r"\n{3,}", "\n\n", tomlkit.dumps(document))
+    return f"#:schema ./{FILE}\n{text}"
 
 
 def remarks(proposal: Proposal) -> Iterator[str]:

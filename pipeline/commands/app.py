@@ -26,7 +26,7 @@ app = App(
 # Each command's module is imported when the command is called, or its help is asked for.
 _COMMANDS = {
     "calibration": ("run", "compare", "inspect", "status", "predict", "compensate", "evaluate"),
-    "plan": ("init", "plan"),
+    "plan": ("init", "schema", "plan"),
     "export": ("export",),
     "studies": ("sweep", "reproduce"),
     "sea": ("sea_trial",),

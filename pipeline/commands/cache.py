@@ -59,7 +59,7 @@ def gc(
 
     result = collect(store, dry_run=dry_run, unfinished=unfinished, gone=gone, keep_damaged=keep_damaged)
     if json:
-        print_json(result.to_dict())
+        print_json(result.to_dict(), "cache-gc")
         return
     for remark in result.remarks:
         err.print(Text(f"note: {remark}", style="yellow"), soft_wrap=True)
@@ -108,7 +108,7 @@ def verify(robot: Robot, *, json: Json = False, common: Common = COMMON) -> None
 
     result = verified(load(robot, common.overrides), common.store, command_line(), progress=True)
     if json:
-        print_json(result.json())
+        print_json(result.json(), "cache-verify")
     else:
         rows = [
             (c.stage, c.entry.digest[:12] if c.entry else "", "; ".join(c.problems) or "as stored")

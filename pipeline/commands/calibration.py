@@ -72,7 +72,7 @@ def run(
         calibration.until("evaluate", "report")
         page = calibration.report()
     if json:
-        print_json(calibration.document(last))
+        print_json(calibration.document(last), "comparison" if last == "evaluate" else "stage")
         check_verdict(calibration.verdict if until == "report" else None)
         return
     if until != "report":
@@ -109,7 +109,7 @@ def compare(
         return
     calibration = opened(robots[0], common)
     if json:
-        print_json(calibration.document())
+        print_json(calibration.document(), "comparison")
         check_verdict(calibration.verdict)
     else:
         show_comparison(calibration.comparison)
@@ -149,10 +149,8 @@ def inspect(
             fit.plot(plot)
     if json:
         document = foresight.to_dict() if before else fit.to_dict()
-        print_json(
-            document
-            | {"virtual": calibration.virtual, "provenance": calibration.provenance("plan" if before else "identify")}
-        )
+        made = {"virtual": calibration.virtual, "provenance": calibration.provenance("plan" if before else "identify")}
+        print_json(document | made, "foresight" if before else "identification")
         return
     if before:
         show_foresight(foresight)
@@ -239,5 +237,5 @@ def evaluate(
         return
     files = {"data": data} | ({"columns": columns} if columns else {})
     provenance = calibration.provenance("identify", "transfer", "correct", files=files)
-    print_json(calibration.comparison_document(comparison) | {"provenance": provenance})
+    print_json(calibration.comparison_document(comparison) | {"provenance": provenance}, "comparison")
     check_verdict(calibration.verdict_of(comparison))

@@ -79,7 +79,10 @@ def check_verdict(verdict) -> None:
 
 
 def show_table(table, align: Literal["left", "right"] = "right", console: Console = out) -> None:
-    shown = RichTable(box=None, pad_edge=False, collapse_padding=True, header_style="bold")
+    """A table, its columns one space apart where a terminal would be too narrow for two."""
+    cells = [max(map(len, column)) for column in zip(table.columns, *table.rows, strict=True)]
+    wide = sum(cells) + 2 * (len(cells) - 1) <= (shutil.get_terminal_size().columns if console.is_terminal else 100)
+    shown = RichTable(box=None, pad_edge=False, collapse_padding=not wide, header_style="bold")
     for k, column in enumerate(table.columns):
         shown.add_column(Text(column), justify="left" if k == 0 else align, no_wrap=True)
     for row in table.rows:
@@ -94,7 +97,10 @@ def print_table(table, as_json: bool) -> None:
         sys.stdout.write(table.to_csv(index=False))
 
 
-def print_json(document: Any) -> None:
+def print_json(document: Any, kind: str = "") -> None:
+    """One document on stdout; kind: what it is, for its schema id."""
+    if kind and isinstance(document, dict):
+        document = {"schema": f"kincal-{kind}-1", **document}
     sys.stdout.write(json.dumps(document, indent=2, allow_nan=False) + "\n")
 
 

@@ -96,7 +96,7 @@ def _carried(
 
 def _show(result: FleetResult, json: bool) -> None:
     if json:
-        print_json(result.to_dict())
+        print_json(result.to_dict(), "fleet")
         return
     show_table(result.shown(), align="right" if result.compared else "left")
     for line in result.family_lines():

@@ -30,6 +30,22 @@ def init(drawing: Path, *, output: Path | None = None) -> None:
     out.print(Text(f"{short(proposal.file)}: {proposal.summary}"), soft_wrap=True)
 
 
+def schema(*, output: Path | None = None) -> None:
+    """Print the JSON Schema of robot.toml, by which editors check and complete it.
+
+    Parameters
+    ----------
+    output
+        The file to write instead, for example robot.schema.json beside robot.toml.
+    """
+    from kincal.pipeline.interface.robots import robot_schema, write_schema
+
+    if output is None:
+        print_json(robot_schema())
+    else:
+        out.print(Text(f"{short(write_schema(output))}: the JSON Schema of robot.toml"), soft_wrap=True)
+
+
 def plan(
     robot: Robot,
     *,
@@ -73,10 +89,12 @@ def plan(
         store=common.store,
         progress=True,
     )
-    if json:
-        print_json(result.to_dict())
-        return
     report = result.report
+    for warning in report.warnings:
+        err.print(Text(f"warning: {warning}", style="yellow"), soft_wrap=True)
+    if json:
+        print_json(result.to_dict(), "plan")
+        return
     channels = ", ".join(report.channels)
     err.print(f"{report.robot}: {len(result)} poses, measured {channels}; as predicted:", style="bold")
     layouts, needed = result.shown()

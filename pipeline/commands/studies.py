@@ -9,7 +9,7 @@ from cyclopts import Parameter
 from rich.text import Text
 
 from kincal.pipeline.commands.console import out, print_json, short, show_table
-from kincal.pipeline.commands.options import COMMON, Common, Json, Robot, command_line
+from kincal.pipeline.commands.options import COMMON, Common, Flag, Json, Robot, command_line
 
 
 def sweep(
@@ -50,7 +50,7 @@ def sweep(
         command=command_line(),
     )
     if json:
-        print_json(result.to_dict())
+        print_json(result.to_dict(), "sweep")
     else:
         for title, medians in result.shown():
             out.print(Text(f"{loaded.description.name}: {title}", style="bold"))
@@ -63,18 +63,21 @@ def sweep(
 
 def reproduce(
     *,
-    seeds: int = 10,
+    seeds: int | None = None,
+    quick: Flag = False,
     on: str = "2",
     output: Path = Path("reproduced"),
     json: Annotated[Json, Parameter(help="The contents of results.json on stdout.")] = False,
     common: Common = COMMON,
 ) -> None:
-    """The simulation of Xu, Tian and Zhang 2024 on ups3_s: every table and figure, all methods, the paper's numbers.
+    """Reproduce the simulation of Xu, Tian and Zhang (2024): every table and figure beside the paper's numbers.
 
     Parameters
     ----------
     seeds
-        How many seeds, from 0: each draws robot, noise, split and networks.
+        How many seeds, from 0: each draws robot, noise, split and networks (default: 10; with --quick: 2).
+    quick
+        A preview in about two minutes: fewer sizes and seeds, wider intervals.
     on
         How many worker processes (1: this process), or dask://host:port.
     output
@@ -84,6 +87,7 @@ def reproduce(
 
     result = reproduced(
         seeds=seeds,
+        quick=quick,
         workers=on,
         settings=common.overrides,
         store=common.store,
@@ -93,7 +97,7 @@ def reproduce(
     )
     document = result.to_dict()
     if json:
-        print_json(document)
+        print_json(document, "reproduction")
         return
     for title, table in result.shown():
         out.print(Text(title, style="bold"))

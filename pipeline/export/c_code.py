@@ -23,6 +23,7 @@ from kincal.pipeline.export.identified import TOLERANCE
 from kincal.pipeline.export.target import MADE_HERE, beside, check_folder_free
 from kincal.pipeline.methods.calibrated import CalibratedRobot
 from kincal.pipeline.methods.predictors import HybridMethod, ModelMethod
+from kincal.pipeline.results import VIRTUAL
 from kincal.pipeline.run.calibrated import calibrated
 from kincal.pipeline.run.runner import Run
 from kincal.pipeline.run.stage import version
@@ -104,10 +105,12 @@ def export(
 def _said(session: Run, robot: CalibratedRobot, method: ModelMethod | HybridMethod, name: str) -> list[str]:
     """Where the code comes from."""
     fit = robot.identification
+    measured = session.until("measure")[0].source
     remarks = [
         f"{MADE_HERE}{session.robot.description.name}, compensator of the {name} method, identified from {fit.n_poses} "
-        f"poses ({session.until('measure')[0].source}: {', '.join(fit.channels)}), kincal {version('kincal')}, casadi "
+        f"poses ({measured}: {', '.join(fit.channels)}), kincal {version('kincal')}, casadi "
         f"{version('casadi')}",
+        *[VIRTUAL] * (measured == "virtual"),
         f"identification: sha256 {session.entries['identify'].digest}",
     ]
     if isinstance(method, HybridMethod):

@@ -39,6 +39,7 @@ def calibration_document(
         "schema": SCHEMA,
         "robot": description.name,
         "source": source,
+        "virtual": source == "virtual",
         "versions": dict(versions),
         "n_poses": identification.n_poses,
         "channels": list(identification.channels),

@@ -19,7 +19,7 @@ from kincal.pipeline.export.identified import Exported, IdentifiedRobot, agreeme
 from kincal.pipeline.export.target import MADE_HERE, beside, check_folder_free
 from kincal.pipeline.export.toml import exported_toml
 from kincal.pipeline.export.urdf import CalibratedUrdf, calibrated_urdf, require_urdf
-from kincal.pipeline.results import Model
+from kincal.pipeline.results import VIRTUAL, Model
 from kincal.pipeline.run.runner import Run
 from kincal.pipeline.run.stage import version
 from kincal.pipeline.stages import drawing
@@ -64,7 +64,8 @@ def write_folder(calibrated: IdentifiedRobot, folder: Path, final: Path) -> Expo
         f"{', '.join(identification.channels)}), chi-square {chi_square}, "
         f"kincal {version('kincal')}{calibrated.made_of and ', '}{calibrated.made_of}"
     )
-    urdf = calibrated_urdf(calibrated.model.urdf, calibrated.robot, calibrated.model.mechanism, [origin])
+    warning = [VIRTUAL] * (calibrated.measured == "virtual")
+    urdf = calibrated_urdf(calibrated.model.urdf, calibrated.robot, calibrated.model.mechanism, [origin, *warning])
     (folder / "robot.urdf").write_bytes(urdf.text.encode())
     (folder / "parameters.csv").write_bytes(parameters_csv(calibrated).encode())
     shown = f"pose of link {urdf.target!r} in link {urdf.instrument!r} = W * tool pose * T: what kincal predicts"
@@ -72,7 +73,7 @@ def write_folder(calibrated: IdentifiedRobot, folder: Path, final: Path) -> Expo
     for workspace, change in _workspaces(calibrated):
         trial = exported.model_copy(update={"workspace": workspace}) if change else exported
         note = f"{change}, because of {refusal}" if change else ""
-        text = exported_toml(trial, calibrated.source.file, final, [origin, shown, *([note] if note else [])])
+        text = exported_toml(trial, calibrated.source.file, final, [origin, *warning, shown, *([note] if note else [])])
         (folder / "robot.toml").write_bytes(text.encode())
         reloaded = load_robot(str(folder / "robot.toml")).description
         try:

@@ -55,7 +55,8 @@ class Reproduction:
 
 def reproduce(
     *,
-    seeds: int = 10,
+    seeds: int | None = None,
+    quick: bool = False,
     workers: int | str = 2,
     settings: Settings = (),
     store: str | PathLike[str] = ".kincal",
@@ -68,7 +69,10 @@ def reproduce(
     Parameters
     ----------
     seeds
-        How many seeds, from 0: each draws robot, noise, split and networks. Ten take a quarter of an hour.
+        How many seeds, from 0: each draws robot, noise, split and networks. Default: 10, which take a quarter of an
+        hour; of the preview 2.
+    quick
+        A preview with fewer sizes and seeds: the same tables and figures, wider intervals.
     workers
         How many worker processes (1: this process), or `dask://host:port`.
     settings
@@ -110,7 +114,7 @@ def reproduce(
     from kincal.pipeline.run.executor import place
     from kincal.pipeline.studies.used import Used
 
-    where, study = place(str(workers)), study_of(whole_number("seeds", seeds))
+    where, study = place(str(workers)), study_of(None if seeds is None else whole_number("seeds", seeds), quick)
     overrides, root = overrides_of(settings), path("store", store)
     robot, jobs = plan(study, overrides, root, command)
     folder = output_of(output, root)

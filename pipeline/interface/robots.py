@@ -85,6 +85,25 @@ def propose(drawing: str | PathLike[str], output: str | PathLike[str] | None = N
     return write_proposal(Path(drawing), None if output is None else Path(output))
 
 
+def robot_schema() -> dict[str, Any]:
+    """Return the JSON Schema of robot.toml, as `kincal schema` prints it."""
+    from kincal.urdf.schema import robot_schema
+
+    return robot_schema()
+
+
+def write_schema(output: str | PathLike[str]) -> Path:
+    """Write the JSON Schema of robot.toml to a file. Raises InputError where that can't be written."""
+    import json
+
+    from kincal.pipeline.store.files import refusing, replace_file
+
+    file = Path(output)
+    with refusing(f"schema {file}"):
+        replace_file(file, (json.dumps(robot_schema(), indent=2) + "\n").encode())
+    return file
+
+
 def robot_of(robot: RobotLike, settings: Settings = ()) -> Robot:
     """A robot that may be loaded already, with more settings. Raises InputError as `load` does."""
     if not isinstance(robot, Robot):

@@ -131,10 +131,12 @@ def sea_trial(
     Traceback (most recent call last):
     kincal.urdf.errors.InputError: sea-trial: sea_state: found 9; input should be 3, 4, 5 or 6
     """
+    from kincal.pipeline.interface.progress import Clock
     from kincal.pipeline.interface.sessions import opened
     from kincal.pipeline.sea.settings import Seaway
     from kincal.pipeline.sea.trial import Trial
     from kincal.pipeline.sea.voyage import sail
+    from kincal.pipeline.watch import watched
     from kincal.urdf.description import validate
 
     if options is not None and not isinstance(options, SeaOptions):  # pyright: ignore[reportUnnecessaryIsInstance]
@@ -148,4 +150,9 @@ def sea_trial(
     seaway = validate(Seaway, {names.get(name, name): chosen[name] for name in sea}, "sea-trial")
     trial = ("sensor", "deck_sensor", "delay_ms", "bandwidth_hz", "lead", "seed")
     settings = validate(Trial, {name: chosen[name] for name in trial}, "sea-trial")
-    return SeaTrialResult(sail(session, seaway, settings, chosen["motion"], command))
+    clock = Clock(f"{session.robot.description.name} sea trial")
+    with watched(clock.advance if progress is True else lambda share: None):
+        try:
+            return SeaTrialResult(sail(session, seaway, settings, chosen["motion"], command, clock.start))
+        finally:
+            clock.stop()

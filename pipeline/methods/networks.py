@@ -11,6 +11,7 @@ from kincal.learning.transfer import allowed_hidden, new_network, train
 from kincal.pipeline.learned import Learned, Pretrained, SourceTask
 from kincal.pipeline.methods.charts import Chart
 from kincal.pipeline.results import Fit, Identified
+from kincal.pipeline.watch import advanced
 from kincal.urdf.description import Pretrain, Transfer
 from kincal.urdf.errors import InputError
 
@@ -46,6 +47,7 @@ def pretrained(task: SourceTask, settings: Pretrain, seed: int) -> Pretrained:
         validation=settings.validation,
         iterations=settings.iterations,
         seed=seed,
+        progress=lambda done, _: advanced(done / settings.iterations),
     )
     return Pretrained(start, tuple(networks), trained.curve[:, [0, len(task.outputs)]])
 
@@ -83,6 +85,7 @@ def learned(
         validation=settings.validation,
         iterations=settings.iterations,
         seed=seed,
+        progress=lambda done, _: advanced(done / settings.iterations),
     )
     curves = trained.curve.reshape(-1, 2, len(fits), 3)  # training and validation losses
     return tuple(

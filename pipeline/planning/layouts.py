@@ -71,6 +71,20 @@ class PlanReport:
     wanted: Wanted | None
     needed: Mapping[Layout, int | None]  # poses for what is wanted; None: not within MOST
 
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What is wrong with the poses, a sentence each."""
+        seen = {score.layout: score.observability for score in self.scores}
+        own = seen[self.layout]
+        if own.excited >= own.excitable:
+            return ()
+        others = [name for name, o in seen.items() if o.excited == o.excitable]
+        instead = f", or layout {' or '.join(others)}," if others else ""
+        return (
+            f"these {len(self.table)} poses leave {own.excitable - own.excited} of {own.excitable} directions of the "
+            f"parameters unexcited. More poses{instead} determine them",
+        )
+
 
 @dataclass(frozen=True)
 class Planner:
@@ -258,6 +272,7 @@ def plan_json(report: PlanReport) -> dict[str, Any]:
         "robot": report.robot,
         "layout": report.layout,
         "n_poses": len(report.table),
+        "warnings": list(report.warnings),
         "channels": list(report.channels),
         "layouts": layouts,
         "wanted": None if wanted is None else {"mean_deg": wanted.deg, "mean_mm": wanted.mm, "most": MOST},

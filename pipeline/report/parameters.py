@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -171,7 +172,7 @@ def parameters_json(robot: str, identification: Identification) -> dict[str, Any
         "degrees_of_freedom": identification.degrees_of_freedom,
         "iterations": identification.iterations,
         "message": identification.message,
-        "residual_rms": dict(identification.residual_size),
+        "residual_rms": _si(identification.residual_size),
         "outliers": [vars(outlier) for outlier in identification.outliers],
         "findings": list(identification.findings),
     }
@@ -186,6 +187,18 @@ def foreseen_json(robot: str, identification: Identification, more: dict[str, An
         for key in ("identified", "change", "low", "high", "change_in_tolerances"):
             del parameter[key]
     return document | more
+
+
+def _si(sizes: Mapping[str, float | None]) -> dict[str, float | None]:
+    """{name: m or rad} of {name_mm or name_deg: for people}; the actuators' are actuators_m and actuators_rad."""
+    names = {"prismatic_mm": "actuators_m", "revolute_deg": "actuators_rad"}
+    factors = {"mm": 1e-3, "deg": np.pi / 180}
+    return {
+        names.get(name, name.rpartition("_")[0]): None
+        if size is None
+        else float(size * factors[name.rpartition("_")[2]])
+        for name, size in sizes.items()
+    }
 
 
 def _finite(value: float) -> float | None:

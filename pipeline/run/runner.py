@@ -6,7 +6,7 @@ import sys
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +21,7 @@ from kincal.pipeline.run.threads import fixed_threads
 from kincal.pipeline.store.digests import digest
 from kincal.pipeline.store.manifest import Damaged, Entry
 from kincal.pipeline.store.store import Store
+from kincal.pipeline.watch import watched
 from kincal.urdf.description import PATHS, Robot
 from kincal.urdf.errors import CalibrationError, InputError
 
@@ -33,9 +34,10 @@ class Event:
     """Something to show: a stage begins (`seconds` is None), is done, or was cached."""
 
     stage: str
-    state: str  # running, ran, cached, damaged, noted (`why`: a warning about the data)
+    state: str  # running, advanced (`share`), ran, cached, damaged, noted (`why`: a warning about the data)
     why: str = ""
     seconds: float | None = None
+    share: float | None = None  # of the stage's work that is done
 
 
 @dataclass
@@ -121,7 +123,7 @@ class Run:
             entry = None if forced else self._find(stage, key)  # another run may have made it meanwhile
             if entry is None:
                 try:
-                    with fixed_threads(stage.libraries):
+                    with fixed_threads(stage.libraries), watched(partial(self._advanced, stage.name)):
                         value = stage.call(inputs | {name: self._setting(name) for name in stage.settings})
                 except FloatingPointError as error:  # a loss that is not a number, a matrix that can't be factored
                     raise CalibrationError(f"{stage.name}: {error}; nothing was stored") from None
@@ -142,6 +144,9 @@ class Run:
         self.entries[stage.name] = entry
         self.store.remember(self.robot_id, stage.name, key)
         self.observe(Event(stage.name, "ran", why, time.perf_counter() - began))
+
+    def _advanced(self, stage: str, share: float) -> None:
+        self.observe(Event(stage, "advanced", share=share))
 
     def _check_unchanged(self, stage: Stage, parts: Mapping[str, Any]) -> None:
         """What the stage has read is what its key was made of. Raises InputError."""

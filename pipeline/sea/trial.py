@@ -32,6 +32,7 @@ from kincal.pipeline.sea.settings import Table
 from kincal.pipeline.sea.ship_motion import ShipMotion
 from kincal.pipeline.virtual.errors import Circumstances
 from kincal.pipeline.virtual.robot import STANDING, VirtualRobot
+from kincal.pipeline.watch import advanced
 from kincal.urdf.description import Positive, RobotDescription
 from kincal.urdf.errors import InputError
 from kincal.urdf.rigid_motion import Motion, exp, log, zyx_angles
@@ -202,14 +203,16 @@ def sea_trial(platform: Platform, motion: ShipMotion, rate_hz: float, settings: 
     sea = _Sea(levelling(motion.angles[at], yaw), here[at], platform.full)
     asked = control.asked(estimate.roll_pitch_yaw, rates, yaw)[at]
     few = slice(None, None, max(1, round(rate_hz / _OFTEN_HZ)))
-    sailed, decks = [], {}
+    sailed, decks, steps = [], {}, len(platform.methods) + 1
     for name, method in platform.methods.items():
+        advanced(len(sailed) / steps)
         readings, good = platform.commands(method, asked)
         decks[name] = platform.poses(control.followed(readings), sea.force)
         ideal, reachable = platform.commands(method, sea.level[few])
         in_port = sea[few].error(platform.poses(ideal, STANDING))
         in_port[~reachable] = np.nan
         sailed.append(Sailed(name, sea.error(decks[name]), in_port, int(np.sum(~good))))
+    advanced(len(sailed) / steps)
     alone = {"filter": sea[few].error(levelling(estimate.roll_pitch_yaw[at], yaw)[few])}
     known = control.asked(motion.angles, motion.angular_rate, yaw)[at]
     alone |= _moving(platform, control, sea, known, few)

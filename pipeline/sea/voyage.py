@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -41,8 +42,13 @@ class Found:
     document: dict[str, Any]
 
 
-def sail(session: Run, sea: Seaway, settings: Trial, log: Path | None, command: str) -> Found:
-    """The trial of a calibrated robot, in a seaway or on a recorded motion. Raises InputError."""
+def sail(
+    session: Run, sea: Seaway, settings: Trial, log: Path | None, command: str, begins: Callable[[], None]
+) -> Found:
+    """The trial of a calibrated robot, in a seaway or on a recorded motion. Raises InputError.
+
+    begins: called when the calibration is at hand, and the trial begins.
+    """
     if sea.minutes > MOST_MINUTES:
         raise InputError(f"--minutes {sea.minutes:g}: allowed are at most {MOST_MINUTES:g}")
     motion, sentence = _replay(log, sea) if log else _seaway(sea)
@@ -61,6 +67,7 @@ def sail(session: Run, sea: Seaway, settings: Trial, log: Path | None, command: 
         Platform(description, errors, actual, {RAW: uncalibrated(errors), **c.methods}, c.channels)
         for c in calibrations(errors, identified, transferred, hybrids)[:2]
     ]
+    begins()
     trial = sea_trial(platforms[0], motion, sea.rate_hz, settings)
     poses = configurations(platforms[1], readings, identified.held_out.test)
     sources = {name: session.entries[name].digest for name in ("measure", "identify", "transfer", "correct")}

@@ -5,6 +5,7 @@ from __future__ import annotations
 from kincal.pipeline.learned import Hybrids, SiblingResiduals
 from kincal.pipeline.results import Identified
 from kincal.pipeline.stages.robot_data import DrawnRobot, Poses
+from kincal.pipeline.watch import advanced
 from kincal.urdf.description import Correct, Plan, Siblings
 
 
@@ -25,6 +26,7 @@ def siblings_stage(robot: DrawnRobot, siblings: Siblings) -> SiblingResiduals:
         hidden=siblings.hidden,
         iterations=siblings.iterations,
         seed=siblings.seed,
+        progress=lambda done, _: advanced(done / siblings.iterations),
     )
     return SiblingResiduals(inherited, curve)
 
@@ -35,5 +37,8 @@ def correct_stage(poses: Poses, identified: Identified, siblings: SiblingResidua
 
     estimated, inherited, seed = identified.shipped.sensor_estimated, siblings.inherited, poses.seed
     errors, measured = poses.errors, poses.measurements.scaled(estimated)
-    fits = (corrected(errors, measured, fit, inherited, correct, seed, not estimated) for fit in identified.fits())
-    return Hybrids(tuple(fits))
+    made, fits = [], identified.fits()
+    for fit in fits:
+        made.append(corrected(errors, measured, fit, inherited, correct, seed, not estimated))
+        advanced(len(made) / len(fits))
+    return Hybrids(tuple(made))
