@@ -87,7 +87,7 @@ def _written(direction: np.ndarray, scaled: np.ndarray, pivot: int, parameters: 
     others = [j for j in np.argsort(-np.abs(scaled)) if j != pivot and abs(scaled[j]) > 1e-6]
     name, (unit, factor) = parameters.names[pivot], HUMAN[parameters.units[pivot]]
     if not others:
-        return f"{name} is not seen at all"
+        return f"{name} has no effect on the measurements"
     shown, ratio = others[:_TERMS], [f"1 {unit}"]
     for j in shown:
         other, times = HUMAN[parameters.units[j]]

@@ -10,6 +10,7 @@ from rich.text import Text
 
 from kincal.pipeline.commands.console import (
     check_verdict,
+    note_virtual,
     print_json,
     print_table,
     say,
@@ -187,7 +188,9 @@ def predict(
     method
         One of the methods that `compare` lists.
     """
-    print_table(opened(robot, common).predict(joints, method=method), json)
+    calibration = opened(robot, common)
+    print_table(calibration.predict(joints, method=method), json)
+    note_virtual(calibration)
 
 
 def compensate(
@@ -202,8 +205,10 @@ def compensate(
     method
         One of the methods that `compare` lists.
     """
-    commands = opened(robot, common).compensate(poses, method=method, strict=True)
+    calibration = opened(robot, common)
+    commands = calibration.compensate(poses, method=method, strict=True)
     print_table(commands.drop(columns=["reached", "obstacle"]), json)
+    note_virtual(calibration)
 
 
 def evaluate(

@@ -12,6 +12,7 @@ from rich.console import Console
 from rich.table import Table as RichTable
 from rich.text import Text
 
+from kincal.pipeline.interface.progress import err
 from kincal.urdf.errors import CalibrationError
 
 
@@ -54,6 +55,13 @@ def show_comparison(compared) -> None:
             say(f"{name} reaches all but {n} of the desired poses; its row leaves those out")
     if compared.advice is not None:
         say(compared.advice.text)
+
+
+def note_virtual(calibration) -> None:
+    """Say on stderr that a result is a virtual robot's, where the result itself has no place for it."""
+    if calibration.virtual:
+        name = calibration.robot.description.name
+        err.print(Text(f"note: {name} is a virtual robot: its errors are simulated, not measured.", style="yellow"))
 
 
 def show_findings(fit) -> None:

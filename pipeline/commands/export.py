@@ -8,7 +8,7 @@ from typing import Annotated
 from cyclopts import Parameter
 from rich.text import Text
 
-from kincal.pipeline.commands.console import out, print_json
+from kincal.pipeline.commands.console import note_virtual, out, print_json
 from kincal.pipeline.commands.options import COMMON, Common, Flag, Robot, opened
 from kincal.pipeline.interface.calibration import export_formats
 from kincal.pipeline.interface.progress import err
@@ -36,7 +36,9 @@ def export(
     force
         Write also where something stands that export has not made.
     """
-    exported = opened(robot, common).export(output, format=format, method=method, force=force)
+    calibration = opened(robot, common)
+    exported = calibration.export(output, format=format, method=method, force=force)
+    note_virtual(calibration)
     if exported.path is None:
         print_json(exported.document)
         return

@@ -6,7 +6,7 @@ from collections.abc import Iterable
 from typing import TYPE_CHECKING
 
 from kincal.pipeline.commands.console import say, show_findings, show_table
-from kincal.pipeline.report.inspection import moved_table, rank_line, verdict_line
+from kincal.pipeline.report.inspection import direction_lines, moved_table, rank_line, verdict_line
 from kincal.pipeline.report.parameters import foreseen_table, parameter_table, sensor_sigmas, summary_lines
 
 if TYPE_CHECKING:
@@ -71,7 +71,8 @@ def _title(fit: Fit) -> str:
 
 
 def _directions(unobservable: tuple[str, ...]) -> list[str]:
-    return [f"{len(unobservable)} directions are not determined:", *(f"  {direction}" for direction in unobservable)]
+    lines = direction_lines(unobservable)
+    return [f"{len(unobservable)} directions are not determined:", *(f"  {direction}" for direction in lines)]
 
 
 def _show(lines: Iterable[str]) -> None:

@@ -9,9 +9,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
-from rich.text import Text
-
-from kincal.pipeline.interface.progress import err
 
 if TYPE_CHECKING:
     from kincal.pipeline.interface.calibration import Calibration
@@ -49,9 +46,6 @@ def opened(robot: str, common: Common, force_from: str | None = None) -> Calibra
     from kincal.pipeline.interface.robots import load
 
     loaded = load(robot, common.overrides)
-    if loaded.description.measure.virtual:
-        name = loaded.description.name
-        err.print(Text(f"{name}: virtual robot. All errors are simulated; no real robot was measured.", style="cyan"))
     return Calibration.open(loaded, store=common.store, progress=True, command=command_line(), force_from=force_from)
 
 

@@ -44,7 +44,7 @@ def sea_trial(
         if innovation["warning"]:
             err.print(Text(f"warning: {innovation['warning']}", style="yellow"), soft_wrap=True)
     if json:
-        print_json(document, "sea-trial")
+        print_json(document)
         return
     out.print(Text(document["motion"]["said"]), soft_wrap=True)
     for title, table in result.shown():

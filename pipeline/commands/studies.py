@@ -97,7 +97,7 @@ def reproduce(
     )
     document = result.to_dict()
     if json:
-        print_json(document, "reproduction")
+        print_json(document)
         return
     for title, table in result.shown():
         out.print(Text(title, style="bold"))

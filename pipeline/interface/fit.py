@@ -89,7 +89,8 @@ class Fit:
         """The document of `kincal inspect --json`, without its provenance."""
         from kincal.pipeline.report.parameters import parameters_json
 
-        return parameters_json(self.robot.description.name, self.identification)
+        document = parameters_json(self.robot.description.name, self.identification)
+        return document | {"virtual": self.robot.description.measure.virtual}
 
     def plot(self, file: str | PathLike[str]) -> Path:
         """Draw singular values, shares of data and tolerance, and changes into an .svg, .png or .pdf file.

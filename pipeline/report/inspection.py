@@ -12,6 +12,7 @@ from kincal.pipeline.report.parameters import decimals
 from kincal.pipeline.report.tables import Table
 
 _MOVED = 2.0  # sigmas
+_NO_EFFECT = " has no effect on the measurements"  # how `identifiability` writes such a direction
 _ROWS = 24  # of the table; more are in --all
 
 
@@ -55,6 +56,13 @@ def moved_table(identification: Identification) -> tuple[Table, int]:
         before = part
     columns = ("part", "parameter", "unit", "nominal", "identified", "change", "sigma", "in tolerances")
     return Table(columns, tuple(rows)), len(chosen) - len(shown)
+
+
+def direction_lines(unobservable: Sequence[str]) -> list[str]:
+    """The directions that are not determined; parameters without any effect share one line."""
+    alone = [text.removesuffix(_NO_EFFECT) for text in unobservable if text.endswith(_NO_EFFECT)]
+    lines = [f"no effect on the measurements: {', '.join(alone)}"] if alone else []
+    return lines + [text for text in unobservable if not text.endswith(_NO_EFFECT)]
 
 
 def rank_line(identification: Identification) -> str:

@@ -13,56 +13,66 @@ from matplotlib.figure import Figure
 
 from kincal.identification.channels import BY_ROWS
 from kincal.identification.identification import Identification
-from kincal.identification.streams.campaign import Campaign
-from kincal.pipeline.learned import Corrected, Learned, Pretrained, SiblingResiduals
+from kincal.pipeline.learned import Fits, Learned, Pretrained, SiblingResiduals
 from kincal.pipeline.report.figures import BLUE, GREY, RED, STYLE, clean, inline, svg
 from kincal.pipeline.report.identification_figures import changes, singular_values
-from kincal.pipeline.report.numbers import fixed
+from kincal.pipeline.report.inspection import direction_lines, finding_lines
+from kincal.pipeline.report.numbers import significant
 from kincal.pipeline.report.pages import environment
 from kincal.pipeline.report.parameters import collinear_lines, parameter_table
-from kincal.pipeline.report.tables import comparison_tables, wave_table
-from kincal.pipeline.results import Comparison, Filtered, Identified, Model
+from kincal.pipeline.report.tables import comparison_tables, structure_table, wave_table
+from kincal.pipeline.report.verdict import verdict
+from kincal.pipeline.results import VIRTUAL, Comparison, Filtered, Identified, Measured, Model
+from kincal.urdf.description import Limits, Record
 
 
 def page(
     model: Model,
-    campaign: Campaign | None,
+    measured: Measured,
     filtered: Filtered,
-    identified: Identified,
     pretrained: Pretrained,
-    learned: Learned,
     siblings: SiblingResiduals,
-    corrected: Corrected,
+    fits: Fits,
     compared: Comparison,
+    limits: Limits,
+    record: Record,
 ) -> str:
     """The whole report of one robot."""
+    shipped, corrected = fits.identified.shipped, fits.hybrids.fits[0]
+    assert compared.advice is not None
     with rc_context(STYLE):
         figures: dict[str, Any] = {
             "methods": _methods(compared),
-            "singular_values": _drawn(singular_values, identified.shipped, 3.0),
-            "changes": _drawn(changes, identified.shipped, 3.0),
-            "residuals": _residuals(identified),
-            "training": _training(pretrained, learned, siblings),
+            "singular_values": _drawn(singular_values, shipped, 3.0),
+            "changes": _drawn(changes, shipped, 3.0),
+            "residuals": _residuals(fits.identified),
+            "training": _training(pretrained, fits.transferred.fits[0], siblings),
         }
     return (
         environment(Path(__file__).parent / "templates")
         .get_template("page.html")
         .render(
             model=model,
-            campaign=campaign,
+            campaign=measured.campaign,
+            virtual=measured.truth is not None,
+            VIRTUAL=VIRTUAL,
+            record=record,
+            verdict=verdict(limits, compared, compared.advice.method),
+            findings=finding_lines(shipped.findings, [(o.pose, o.reason) for o in shipped.outliers], most=1000),
+            directions=direction_lines(shipped.unobservable),
             filtered=filtered,
-            pretrained=pretrained,
             corrected=corrected,
             waves=wave_table(corrected.correction, model),
-            shipped=identified.shipped,
+            structures=structure_table(corrected.correction),
+            shipped=shipped,
             compared=compared,
             comparison=comparison_tables(compared.methods, compared.raw_nominal),
             held_out=comparison_tables(compared.held_out),
             closed_loop=comparison_tables(compared.closed_loop),
-            parameters=parameter_table(identified.shipped),
-            collinear=collinear_lines(identified.shipped),
+            parameters=parameter_table(shipped),
+            collinear=collinear_lines(shipped),
             channels=BY_ROWS,
-            fixed=fixed,
+            significant=significant,
             **figures,
         )
     )

@@ -36,6 +36,12 @@ def _by_method(rows: Sequence[MethodScore], columns: tuple[str, ...], cells: Ite
     return Table(("method", *columns), tuple((r.name, *line) for r, line in zip(rows, cells, strict=True)))
 
 
+def structure_table(correction: Correction) -> Table:
+    """One row a structure of the correction: its score in cross-validation, lower is better."""
+    rows = ((name or "geometry alone", significant(loss, 4)) for name, loss in correction.losses.items())
+    return Table(("structure", "score"), tuple(rows))
+
+
 def wave_table(correction: Correction, model: Model) -> Table:
     """One row a periodic error of an actuator, the largest first; periods in its readings."""
     chain = model.chain()

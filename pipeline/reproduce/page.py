@@ -43,6 +43,7 @@ def findings(results: Reproduced) -> Findings:
     tested, prior = claims_rows(made), pretraining(results)
     study = results.study
     document = {
+        "schema": "kincal-reproduction-1",
         "paper": "Xu, Tian, Zhang: J. Mar. Sci. Eng. 2024, 12, 275",
         "robot": results.robot.name,
         "study": asdict(study),

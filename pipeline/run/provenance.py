@@ -44,5 +44,5 @@ def published(html: str, entries: Mapping[str, Entry]) -> bytes:
     """The report page for people, with its provenance at the end; the command is that which made the report."""
     made = entries["report"].manifest["provenance"]["command"]
     text = json.dumps(provenance(entries, ["report"], made), indent=1)
-    footer = f"<footer><details><summary>Provenance</summary><pre>{escape(text)}</pre></details></footer>\n</body>"
+    footer = f"<footer><details open><summary>Provenance</summary><pre>{escape(text)}</pre></details></footer>\n</body>"
     return footer.join(html.rsplit("</body>", 1)).encode()

@@ -27,6 +27,7 @@ def document(
     filtered = np.rad2deg(trial.filtered) - ship[:, :2]
     bias = filtered.mean(axis=0)
     return {
+        "schema": "kincal-sea-trial-1",
         "robot": trial.robot,
         **provenance,
         "motion": {

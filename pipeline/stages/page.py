@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from kincal.pipeline.learned import Fits, Pretrained, SiblingResiduals
 from kincal.pipeline.results import Comparison, Filtered, Html, Measured, Model, Report
+from kincal.urdf.description import Limits, Record
 
 
 def report_stage(
@@ -14,11 +15,10 @@ def report_stage(
     siblings: SiblingResiduals,
     fits: Fits,
     compared: Comparison,
+    limits: Limits,
+    record: Record,
 ) -> Report:
-    """A page to sign: comparison, parameters, singular values, residuals, training."""
+    """A page to sign: verdict, findings, comparison, residuals, parameters, training."""
     from kincal.pipeline.report.page import page
 
-    identified, learned, corrected = fits.identified, fits.transferred.fits[0], fits.hybrids.fits[0]
-    return Report(
-        Html(page(model, measured.campaign, filtered, identified, pretrained, learned, siblings, corrected, compared))
-    )
+    return Report(Html(page(model, measured, filtered, pretrained, siblings, fits, compared, limits, record)))

@@ -105,7 +105,7 @@ _LONG = re.compile(r"(\S+) trades against (.+?)(?: \(and (\d+) by less\))?, (1 \
 
 def read_back(text: str, parameters) -> tuple[str, dict[str, float], int]:
     """A written direction: who leads it, what it holds in SI units, and how many smaller ones it leaves out."""
-    if match := re.fullmatch(r"(\S+) is not seen at all", text):
+    if match := re.fullmatch(r"(\S+) has no effect on the measurements", text):
         return match[1], {match[1]: 1.0}, 0
     if match := _SHORT.fullmatch(text):
         return match[1], {match[1]: 1.0, match[2]: float(match[3])}, 0
@@ -209,8 +209,8 @@ def test_what_orientation_alone_cannot_see_is_not_identifiable(robot):
     by_name = dict(zip(loaded.model.parameters.names, found.identifiable, strict=True))
     assert not any(by_name[f"{frame}.{c}"] for frame in ("instrument", "target") for c in "xyz")
     text = "\n".join(found.unobservable)
-    assert "instrument.x is not seen at all" in text
-    assert "target.z is not seen at all" in text
+    assert "instrument.x has no effect on the measurements" in text
+    assert "target.z has no effect on the measurements" in text
 
 
 def test_tilt_loses_what_orientation_sees(robot):

@@ -26,11 +26,11 @@ def curve(n: int, geometric: float, hybrid: float, power: tuple[float, float]) -
 def advice(robot, correction):
     """advice(scores, curve, n, shrinkage): of methods that have no covariance, so that scores are what is expected."""
 
-    def advice(scores, learning_curve, n=100, shrinkage=1.0):
+    def advice(scores, learning_curve, n=100, shrinkage=1.0, findings=()):
         own = replace(correction(robot("ups3_s"), 1e-4), shrinkage=shrinkage)
         corrected = Corrected(np.zeros(0), own, learning_curve)
         calibrated = SimpleNamespace(corrected=corrected, channels=("orientation",), covariance=lambda *_: None)
-        return advise(calibrated, scores, np.zeros((n, 3)))
+        return advise(calibrated, scores, np.zeros((n, 3)), findings)
 
     return advice
 
@@ -46,8 +46,10 @@ def test_more_poses_pay(advice, power, more):
     assert (found.expected_deg, found.expected_mm) == (0.001, None)
     assert found.expected_more_deg == pytest.approx(0.001 * (100 / more) ** power, rel=1e-9)
     assert found.expected_more_deg <= 0.8 * 0.001
-    assert found.text.startswith("take hybrid: a mean error of 0.001 deg is to be expected at poses like these 100;")
-    assert f"{more} poses would bring about" in found.text
+    assert found.text.startswith(
+        "Recommended: hybrid. Expected mean error at poses like the measured ones: 0.001 deg. With "
+    )
+    assert f"With {more - 100} more poses ({more}): about " in found.text
 
 
 def test_a_curve_steeper_than_chance_allows(advice):
@@ -55,9 +57,7 @@ def test_a_curve_steeper_than_chance_allows(advice):
     assert advice(SCORES, curve(100, 5.0, 1.0, (0.1, 3.0))).n_more == 130
 
 
-@pytest.mark.parametrize(
-    "power, words", [(0.1, "more poses hardly pay"), (0.0, "would not pay"), (-0.5, "would not pay")]
-)
+@pytest.mark.parametrize("power, words", [(0.1, "bring little"), (0.0, "bring nothing"), (-0.5, "bring nothing")])
 def test_more_poses_do_not_pay(advice, power, words):
     found = advice(SCORES, curve(100, 5.0, 1.0, (0.9, power)))
     assert (found.n_more, found.expected_more_deg, found.expected_more_mm) == (None, None, None)
@@ -69,13 +69,18 @@ def test_the_curve_is_that_of_the_method(advice):
     scores = [score("nominal", 0.2), score("geometric", 0.001), score("hybrid", 0.001)]
     found = advice(scores, curve(100, 1.0, 1.0, (0.0, 0.5)), shrinkage=0.0)
     assert (found.method, found.n_more) == ("geometric", None)
-    assert found.text.endswith("nothing was found that geometry can't explain")
+    assert found.text.endswith("The learned correction is not used: cross-validation shows no gain.")
+    unexplained = ("geometry alone can't explain the measurements: residuals are 10 times the sensors' sigmas",)
+    found = advice(scores, curve(100, 1.0, 1.0, (0.0, 0.5)), shrinkage=0.0, findings=unexplained)
+    assert found.text.endswith(
+        "Neither geometry nor the learned correction explains the measurements: read the findings."
+    )
 
 
 def test_so_few_that_nothing_can_be_told(advice):
     found = advice(SCORES, np.zeros((0, 3)), n=10)
     assert found.n_more is None
-    assert "can't be told from so few" in found.text
+    assert "10 poses are too few to estimate the gain from more poses." in found.text
 
 
 def test_a_curve_with_a_zero_tells_nothing(advice):
@@ -109,7 +114,7 @@ def test_what_is_expected_comes_true(calibrated):
     methods = {"geometric": case.geometric, "hybrid": case.hybrid}
     for name, method in methods.items():
         fitted = Calibrated(case.model, case.fit, None, case.corrected, ("orientation",))
-        found = advise(fitted, [score(name, 9.0)], readings)
+        found = advise(fitted, [score(name, 9.0)], readings, ())
         got = method.predict(readings)
         cosine = (np.einsum("nij,nij->n", got.rotation, truth.rotation) - 1) / 2
         measured = np.rad2deg(np.mean(np.sqrt(2 * np.maximum(1 - cosine, 0))))
