@@ -73,7 +73,9 @@ def _check_spread(model: ErrorModel, measured: Measurements) -> None:
     different = len(np.unique(measured.readings, axis=0))
     if n >= MIN_POSES and different < MIN_POSES:
         count = f"all {n} poses have the same joint values" if different == 1 else f"{n} poses, {different} different"
-        raise InputError(f"measurements: {count}: they excite nothing; at least {MIN_POSES} different ones are needed")
+        raise InputError(
+            f"measurements: {count}: they do not excite the parameters; at least {MIN_POSES} different ones are needed"
+        )
     closure = model.robot(np.zeros(len(model.parameters))).close(measured.readings)
     if not closure.closed.all():
         return  # registration says which
@@ -83,7 +85,7 @@ def _check_spread(model: ErrorModel, measured: Measurements) -> None:
     if all(span < _NOISE * _sigma(measured, c) for c, span in spans.items()):
         raise InputError(
             f"measurements: the poses differ by {np.rad2deg(turned):.2g} deg and {1e3 * moved:.2g} mm, no more than "
-            "the sensors' noise: they excite nothing; measure poses all over the workspace"
+            "the sensors' noise: they do not excite the parameters; measure poses all over the workspace"
         )
     for channel, span in spans.items():
         values = measured.values[channel].reshape(n, -1)
@@ -126,9 +128,7 @@ def moved_far(parameters: Parameters, p: np.ndarray, std: np.ndarray) -> tuple[s
         size = f"{parameters.names[j]} moved by {moved[j]:.1f} tolerances ({p[j] * factor:+.4g} {unit})"
         uncertain = std[j] / parameters.tolerance[j]
         if uncertain > _HARDLY_TOLD:  # an estimator without priors
-            cause = (
-                f"the measurements tell it to {uncertain:.1f} tolerances only; estimator = 'map' knows the tolerances"
-            )
+            cause = f"the measurements determine it to {uncertain:.1f} tolerances only; estimator = 'map' uses the tolerances"
         else:
             cause = _cause(parameters.names[j], parameters.units[j])
         findings.append(f"{size}: {cause}")
@@ -140,8 +140,8 @@ def moved_far(parameters: Parameters, p: np.ndarray, std: np.ndarray) -> tuple[s
 def _cause(name: str, unit: str) -> str:
     joint, _, part = name.rpartition(".")
     if part == "zero":
-        return f"was it homed elsewhere than actuator.{joint}.zero says?"
+        return f"check whether it was homed where actuator.{joint}.zero says"
     if part == "gain":
-        return f"is actuator.{joint}.gain, or the reading's unit, right?"
+        return f"check actuator.{joint}.gain and the unit of the readings"
     key = "position_mm" if unit == "m" else "rotation_deg"
-    return f"is its place in the URDF that of the robot that was built, and tolerance.{key} no smaller than its errors?"
+    return f"check its place in the drawing, and whether tolerance.{key} is too small"

@@ -244,7 +244,7 @@ def _variance_components(
         free = d * len(measured) - float(fitted[rows].sum())
         if free < _REDUNDANT:
             raise InputError(
-                f"sensor: sigma of {channel} is not given, and {len(measured)} poses can't tell it "
+                f"sensor: sigma of {channel} is not given, and {len(measured)} poses can't determine it "
                 f"({d * len(measured)} readings, all but {max(free, 0):.1f} of them fitted); give it in [sensor]"
             )
         size = float(np.sum(weights[:, rows] * estimate.residual[:, rows] ** 2))  # weighted, its mean is the same

@@ -157,9 +157,7 @@ def _check_rows(columns: dict[str, np.ndarray], file: Path | str) -> None:
     repeated = np.setdiff1d(np.arange(len(pose)), first)
     if len(repeated):
         row = repeated[0]
-        raise TableError(
-            f"{file}: pose {pose[row]} stands there twice (row {row + 1}); allowed is once", "pose", int(row)
-        )
+        raise TableError(f"{file}: pose {pose[row]} appears twice (row {row + 1}); allowed is once", "pose", int(row))
     for name, values in columns.items():
         if name.endswith("_std"):
             _refuse(~(values > 0), file, name, values, "numbers greater than 0")

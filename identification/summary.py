@@ -90,7 +90,7 @@ def _verdict(
     """What the chi-square says of the model and of the sensors' sigmas."""
     if freedom < 1:
         return (
-            "the readings are no more than the parameters they determine: residuals can't tell if the model is right",
+            "the poses give no more readings than the parameters they determine: residuals can't show whether the model is right",
         )
     larger = float(np.sqrt(chi_square / freedom))
     if chdtrc(freedom, chi_square) < _SURPRISE:
@@ -98,7 +98,9 @@ def _verdict(
         found = f"geometry alone can't explain the measurements: residuals are {larger:.3g} times the sensors' sigmas"
         return (found, cause) if cause else (found,)
     if chdtr(freedom, chi_square) < _SURPRISE:
-        return (f"the sensors are better than their sigmas say: residuals are {larger:.3g} times as large",)
+        return (
+            f"residuals are only {larger:.3g} times the sensors' sigmas: the sensors are better than [sensor] states",
+        )
     return ()
 
 

@@ -46,7 +46,7 @@ def load(file: Path, measure: Measure) -> pd.DataFrame:
 
 
 def header(file: Path, measure: Measure) -> list[str]:
-    """The column names of a CSV file. Raises InputError where one stands there twice, and for too many."""
+    """The column names of a CSV file. Raises InputError where one appears twice, and for too many."""
     with readable(file), open(file, "rb") as stream:
         if stream.read(8).startswith(_PACKED):
             raise InputError(f"{file}: it is compressed; unpack it first")
@@ -64,7 +64,7 @@ def check_names(file: Path | str, names: Sequence[str]) -> None:
         raise InputError(f"{file}: {len(names)} columns; allowed are {MAX_COLUMNS}")
     repeated = next((name for name, n in Counter(names).items() if n > 1), None)
     if repeated is not None:
-        raise InputError(f"{file}: column {repeated!r} stands there twice; allowed is once")
+        raise InputError(f"{file}: column {repeated!r} appears twice; allowed is once")
 
 
 def _texts(file: Path, stream: BinaryIO) -> Iterator[str]:

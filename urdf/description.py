@@ -245,7 +245,7 @@ class Measure(_Table):
     @model_validator(mode="after")
     def _consistent(self) -> Measure:
         if self.commands is not None and self.table is not None:
-            raise ValueError("commands and table both say the joint values; give either")
+            raise ValueError("commands and table both give the joint values; set only one of them")
         if self.commands is not None and self.streams is None:
             raise ValueError("commands need the stream that was logged beside them: set measure.streams")
         measured = next((key for key in ("table", "commands") if getattr(self, key) is not None), None)
@@ -264,7 +264,7 @@ class Measure(_Table):
         if self.channels is not None and not self.channels:
             raise ValueError(f"channels = []: allowed are one or more of {', '.join(SENSORS)}")
         if self.channels and "orientation" in self.channels and {"tilt", "yaw"} & set(self.channels):
-            raise ValueError("channels: orientation holds tilt and yaw already; give either")
+            raise ValueError("channels: orientation includes tilt and yaw; list only one of them")
         return self
 
     def of_columns(self, names: Iterable[str]) -> Measure:
@@ -357,7 +357,7 @@ class Mechanism(_Table):
         for table, names in (("actuated", self.actuated), ("loop", [loop.name for loop in self.loop])):
             repeated = {n for n in names if list(names).count(n) > 1}
             if repeated:
-                raise ValueError(f"{table}: {sorted(repeated)[0]!r} stands there twice")
+                raise ValueError(f"{table}: {sorted(repeated)[0]!r} appears twice")
         return self
 
 

@@ -62,7 +62,7 @@ class Fleet(_Table):
         seen: set[str] = set()
         for unit in self.unit:
             if unit.name in seen:
-                raise ValueError(f"unit: {unit.name!r} stands there twice")
+                raise ValueError(f"unit: {unit.name!r} appears twice")
             seen.add(unit.name)
         return self
 

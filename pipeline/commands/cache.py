@@ -40,7 +40,7 @@ def gc(
     store: Path = COMMON.store,
     json: Json = False,
 ) -> None:
-    """Free what no robot refers to: results of earlier settings, leftovers, locks, and what was damaged.
+    """Delete results that no robot uses: earlier settings, leftovers, locks, damaged files.
 
     Parameters
     ----------
@@ -79,7 +79,7 @@ def accept(
     json: Json = False,
     common: Common = COMMON,
 ) -> None:
-    """Mark cached results as valid for the current code: after a refactoring that changes no result.
+    """Mark cached results as valid for the current code, after a change of code that changes no result.
 
     Parameters
     ----------
@@ -101,7 +101,7 @@ def accept(
 
 @app.command
 def verify(robot: Robot, *, json: Json = False, common: Common = COMMON) -> None:
-    """Check all that the robot's results rest on: seals, digests, the chain, and the comparison made once more."""
+    """Check the stored results: seals, digests, the chain of inputs, and the comparison computed again."""
     from kincal.pipeline.interface.cache import verify as verified
     from kincal.pipeline.interface.robots import load
     from kincal.pipeline.report.tables import Table

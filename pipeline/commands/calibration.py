@@ -49,7 +49,7 @@ def run(
     ] = False,
     common: Common = COMMON,
 ) -> None:
-    """Run the staged pipeline, and end with the comparison; of several robots, with the fleet's table.
+    """Calibrate a robot: run all stages, compare the methods, write the report. Several robots: a table of the fleet.
 
     Parameters
     ----------
@@ -98,7 +98,7 @@ def compare(
     ] = False,
     common: Common = COMMON,
 ) -> None:
-    """The methods side by side on the same held-out poses; of several robots, the fleet's table too.
+    """Compare the six methods at poses that they were not trained on. Two campaigns of one robot: also what changed.
 
     Parameters
     ----------
@@ -164,7 +164,7 @@ def inspect(
 
 
 def status(robot: Robot, *, json: Json = False, common: Common = COMMON) -> None:
-    """Which stages are fresh, which are stale, and what made them so."""
+    """List the stages: fresh or stale, and why."""
     from kincal.pipeline.commands.console import show_table
     from kincal.pipeline.report.tables import Table
 
@@ -179,7 +179,7 @@ def status(robot: Robot, *, json: Json = False, common: Common = COMMON) -> None
 def predict(
     robot: Robot, *, joints: Path, method: str = "hybrid", json: JsonInstead = False, common: Common = COMMON
 ) -> None:
-    """Measured-like poses, with sigma, at given actuator readings; a CSV table on stdout.
+    """Predict poses and their standard deviations at given joint readings, as CSV on stdout.
 
     Parameters
     ----------
@@ -196,7 +196,7 @@ def predict(
 def compensate(
     robot: Robot, *, poses: Path, method: str = "hybrid", json: JsonInstead = False, common: Common = COMMON
 ) -> None:
-    """Joint commands that reach the given poses; a CSV table on stdout.
+    """Compute the joint commands for desired poses, as CSV on stdout.
 
     Parameters
     ----------
@@ -221,18 +221,18 @@ def evaluate(
     json: Json = False,
     common: Common = COMMON,
 ) -> None:
-    """The methods against a measurement table that no stage has seen.
+    """Measure the errors of the methods on a table that was not used for the calibration.
 
     Parameters
     ----------
     data
         The measurement table, CSV or Parquet.
     columns
-        A TOML file with a column map of its own, as [measure.columns] has it.
+        A TOML file with the column map of this table, as in [measure.columns].
     register
-        First refit W alone: the instrument was set up anew.
+        First fit W again: the instrument was set up anew.
     rehome
-        First refit the actuator zeros: the robot was homed anew.
+        First fit the actuators' zeros again: the robot was homed anew.
     """
     calibration = opened(robot, common)
     comparison = calibration.evaluation(data, register=register, rehome=rehome, columns=columns)

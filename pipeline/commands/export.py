@@ -25,7 +25,7 @@ def export(
     force: Flag = False,
     common: Common = COMMON,
 ) -> None:
-    """The calibrated robot for others, read back and checked against the identified model before it is handed out.
+    """Write the calibrated robot as URDF, JSON or C. The files are read back and checked first.
 
     Parameters
     ----------
@@ -34,7 +34,7 @@ def export(
     output
         The folder (default: NAME_calibrated, NAME_compensator), or the file of the document (default: stdout).
     force
-        Write also where something stands that export has not made.
+        Write into an existing folder or file that export did not make.
     """
     calibration = opened(robot, common)
     exported = calibration.export(output, format=format, method=method, force=force)

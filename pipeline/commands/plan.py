@@ -13,7 +13,7 @@ from kincal.pipeline.interface.progress import err
 
 
 def init(drawing: Path, *, output: Path | None = None) -> None:
-    """Propose a robot.toml for a URDF or an MJCF: loops, actuators and a workspace, with the reasons in comments.
+    """Propose a robot.toml for a URDF or an MJCF: loops, actuators and workspace, with reasons in comments.
 
     Parameters
     ----------
@@ -58,7 +58,7 @@ def plan(
     json: JsonInstead = False,
     common: Common = COMMON,
 ) -> None:
-    """Which poses to measure: a CSV table for the operator on stdout, and on stderr what they will tell.
+    """Plan the poses to measure: the table as CSV on stdout, the predicted accuracy on stderr.
 
     Parameters
     ----------
@@ -67,13 +67,13 @@ def plan(
     layout
         Default: plan.layout of robot.toml, else d_optimal.
     accuracy
-        Say how many poses each layout needs for this mean error [deg] of the identified model.
+        Print how many poses each layout needs for this mean error [deg] of the identified model.
     accuracy_mm
         The same for the position [mm].
     output
         Write the table to this .csv or .parquet file instead.
     force
-        Write it also where a file of this name stands.
+        Replace the output file if it exists.
     """
     from kincal.pipeline.interface.campaign import plan as planned
     from kincal.pipeline.interface.robots import load

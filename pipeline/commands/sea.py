@@ -24,7 +24,7 @@ def sea_trial(
     json: Json = False,
     common: Common = COMMON,
 ) -> None:
-    """The platform on a moving ship keeps its deck level, by each of the methods: the paper's section 4.
+    """Simulate the platform on a moving ship: how level each method keeps the deck (the paper's section 4).
 
     Parameters
     ----------

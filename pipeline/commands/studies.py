@@ -22,7 +22,7 @@ def sweep(
     json: Json = False,
     common: Common = COMMON,
 ) -> None:
-    """The comparison over a grid of settings and seeds: one table of all, and the medians over seeds.
+    """Calibrate over a grid of settings and seeds: one table of all runs, and the medians over the seeds.
 
     Parameters
     ----------

@@ -47,7 +47,9 @@ class Compensator:
         """
         solver = ModelSolver.of(method, channels, workspace)
         if not solver.goal.decided:
-            raise InputError(f"--format c: what is measured, {', '.join(channels)}, does not decide what the tool does")
+            raise InputError(
+                f"--format c: the measured channel, {', '.join(channels)}, does not determine the pose of the tool"
+            )
         return Compensator(solver, _signs(solver), bounds(workspace), _needed(solver, workspace))
 
 

@@ -218,7 +218,7 @@ def check_output(file: Path, force: bool) -> None:
     if file.suffix.lower() not in (".csv", ".parquet"):
         raise InputError(f"--output {file}: allowed are .csv and .parquet")
     if file.exists() and not force:
-        raise InputError(f"--output {file}: stands there already; give another name, or --force")
+        raise InputError(f"--output {file}: exists already; give another name, or --force")
 
 
 def write_table(table: pd.DataFrame, file: Path) -> None:

@@ -49,7 +49,9 @@ def executor(on: Place, store: Path, files: Iterable[Path] = ()) -> Iterator[Job
         yield workers
     except WorkersLost as error:
         workers.kill()
-        raise CalibrationError(f"{error}; what is done is in the store: the same command goes on from there") from None
+        raise CalibrationError(
+            f"{error}; finished results are in the store: run the same command again to continue"
+        ) from None
     except BaseException:
         workers.kill()
         raise

@@ -12,6 +12,7 @@ from typing import Any
 from kincal.pipeline.results import Bundle
 from kincal.pipeline.stages.registry import STAGES
 from kincal.urdf.errors import UnknownNameError
+from kincal.version import __version__
 
 
 @dataclass(frozen=True)
@@ -77,6 +78,8 @@ def all_stages() -> dict[str, Stage]:
 @lru_cache
 def version(library: str) -> str:
     """Of an installed library. Its metadata are long: parsing them all takes longer than the rest of a cached run."""
+    if library == "kincal":  # a checkout is newer than what was installed of it
+        return __version__
     text = metadata.distribution(library).read_text("METADATA") or ""
     line_of_version = next((line for line in text.splitlines() if line.startswith("Version:")), None)
     return line_of_version.partition(":")[2].strip() if line_of_version else metadata.version(library)

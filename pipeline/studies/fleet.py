@@ -70,7 +70,7 @@ def select(robots: Sequence[str] | str | os.PathLike[str] | None) -> Selection:
     resolved = [as_reference(robot) for robot in robots]
     repeated = next((r for r, f in zip(robots, resolved, strict=True) if resolved.count(f) > 1), None)
     if repeated is not None:
-        raise InputError(f"robot {repeated!r} stands there twice")
+        raise InputError(f"robot {repeated!r} appears twice")
     return Selection("robots", tuple(resolved))
 
 

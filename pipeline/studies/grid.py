@@ -61,7 +61,7 @@ def parse_over(text: str) -> Over:
         raise InputError(f"--over {text}: a value is missing")
     repeated = next((item for item, n in Counter(texts).items() if n > 1), None)
     if repeated is not None:
-        raise InputError(f"--over {text}: {repeated} stands there twice")
+        raise InputError(f"--over {text}: {repeated} appears twice")
     for item in texts:
         toml_value(item)
     return Over(key, tuple(texts))
@@ -74,7 +74,7 @@ def over_of(key: str, values: Sequence[Any]) -> Over:
     texts = tuple(as_toml(value, f"over {key}") for value in listed)
     repeated = next((text for text, n in Counter(texts).items() if n > 1), None)
     if repeated is not None:
-        raise InputError(f"over {key}: {repeated} stands there twice")
+        raise InputError(f"over {key}: {repeated} appears twice")
     return Over(key, texts)
 
 
@@ -131,7 +131,7 @@ def _split(listed: str, text: str) -> list[str]:
 def _progression(before: Sequence[str], last: Sequence[str], text: str) -> list[str]:
     """What `...` stands for, and the last value: exact in decimals."""
     if len(before) < 2 or not last:
-        raise InputError(f"--over {text}: `...` stands between two values and the last one: first,second,...,last")
+        raise InputError(f"--over {text}: `...` belongs between two values and the last one: first,second,...,last")
     first, second, end = (_number(item, text) for item in (*before[-2:], *last))
     step = second - first
     n = (end - second) / step if step else Decimal(0)

@@ -175,7 +175,7 @@ def test_poses_that_are_all_the_same_are_refused(robot):
         same = loaded.measure(loaded.random_parameters(1), readings[kept], ("orientation",), SIGMA, noise)
         message = refusal(loaded, same)
         assert message.startswith(f"measurements: {count}")
-        assert "they excite nothing" in message
+        assert "they do not excite" in message
 
 
 @pytest.mark.parametrize("channels", [("orientation",), ("tilt",)])
@@ -187,7 +187,7 @@ def test_poses_that_differ_by_noise_are_refused(channels, robot):
         near = readings[:1] + spread * (readings - readings[:1])
         measured = loaded.measure(p, near, channels, SIGMA, np.random.default_rng(1))
         if refused:
-            assert "no more than the sensors' noise: they excite nothing" in refusal(loaded, measured)
+            assert "no more than the sensors' noise: they do not excite" in refusal(loaded, measured)
         else:
             registered(loaded.model, measured, 300)
 
@@ -225,8 +225,8 @@ def named_parameters(*names: str) -> tuple[Parameters, np.ndarray]:
 
 
 KINDS = {
-    "leg.zero": ("+1.5 mm", "was it homed elsewhere than actuator.leg.zero says?"),
-    "leg.gain": ("+5 mm/reading", "is actuator.leg.gain, or the reading's unit, right?"),
+    "leg.zero": ("+1.5 mm", "check whether it was homed where actuator.leg.zero says"),
+    "leg.gain": ("+5 mm/reading", "check actuator.leg.gain and the unit of the readings"),
     "platform.x": ("+1.5 mm", "tolerance.position_mm no smaller than its errors?"),
     "platform.ry": ("+0.25 deg", "tolerance.rotation_deg no smaller than its errors?"),
 }
@@ -271,12 +271,12 @@ def test_a_parameter_that_is_hardly_told_is_the_estimators_fault():
     parameters, std = named_parameters("a.zero")
     std[0] = 3 * parameters.tolerance[0]
     (finding,) = moved_far(parameters, np.append(5 * parameters.tolerance[0], np.zeros(12)), std)
-    assert "tell it to 3.0 tolerances only; estimator = 'map'" in finding
+    assert "determine it to 3.0 tolerances only; estimator = 'map'" in finding
     assert "homed" not in finding
 
 
-GAIN = "is actuator.{}.gain, or the reading's unit, right?"
-HOMED = "was it homed elsewhere than actuator.{}.zero says?"
+GAIN = "check actuator.{}.gain and the unit of the readings"
+HOMED = "check whether it was homed where actuator.{}.zero says"
 
 
 def fitted(loaded, measured):

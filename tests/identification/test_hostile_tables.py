@@ -189,10 +189,10 @@ def test_columns_that_hold_no_numbers(column, said, tmp_path):
 def test_names_that_stand_there_twice(tmp_path):
     twice = pa.Table.from_arrays([pa.array([1.0])] * 3, names=["a", "a", "x"])
     pq.write_table(twice, tmp_path / "t.parquet")
-    refused(lambda: table(tmp_path / "t.parquet"), "column 'a' stands there twice")
+    refused(lambda: table(tmp_path / "t.parquet"), "column 'a' appears twice")
     nested = pa.Table.from_arrays([pa.array([1.0]), pa.array([{"b": 1}])], names=["a", "a"])
     pq.write_table(nested, tmp_path / "n.parquet")
-    refused(lambda: table(tmp_path / "n.parquet"), "column 'a' stands there twice")
+    refused(lambda: table(tmp_path / "n.parquet"), "column 'a' appears twice")
 
 
 def test_numbers_as_text_are_numbers(tmp_path):

@@ -363,5 +363,5 @@ def test_strange_names_in_comments(compensated, compiler, tmp_path):
 def test_what_does_not_decide_the_tool_is_refused(compensated):
     """3-RPS by its heading alone: neither height nor tilt."""
     loaded, compensator = compensated("parasitic motion")
-    with pytest.raises(InputError, match=r"yaw, does not decide"):
+    with pytest.raises(InputError, match=r"yaw, does not determine"):
         Compensator.of(compensator.solver.method, ("yaw",), loaded.description.workspace)

@@ -115,7 +115,7 @@ def test_output_goes_to_a_file(plan, tmp_path, name):
     assert (answer.status, answer.out) == (0, "")
     written = pd.read_parquet(tmp_path / name) if name.endswith("parquet") else pd.read_csv(tmp_path / name)
     pd.testing.assert_frame_equal(written, read(plan("ups3_s", "--poses", "6", "--layout", "random").out))
-    assert "stands there already" in plan("ups3_s", "--poses", "7", "--output", name).err
+    assert "exists already" in plan("ups3_s", "--poses", "7", "--output", name).err
     assert plan("ups3_s", "--poses", "7", "--layout", "random", "--output", name, "--force").status == 0
     again = pd.read_parquet(tmp_path / name) if name.endswith("parquet") else pd.read_csv(tmp_path / name)
     assert len(again) == 7

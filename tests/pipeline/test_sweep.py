@@ -68,7 +68,7 @@ def test_all_combinations():
         ("=1,2", "allowed is table.key=value"),
         ("a=", "a value is missing"),
         ("a=1,,2", "a value is missing"),
-        ("a=1,2,1", "1 stands there twice"),
+        ("a=1,2,1", "1 appears twice"),
         ("a=1,2,...", "between two values and the last one"),
         ("a=1,...,5", "between two values and the last one"),
         ("a=...", "between two values and the last one"),

@@ -237,7 +237,7 @@ def test_a_sweep_and_its_failures(robot, tmp_path):
     [
         ({"plan.poses": 12}, "over plan.poses: found 12; allowed is a list of values"),
         ({"plan.poses": []}, "over plan.poses: found []; allowed is a list of values"),
-        ({"plan.poses": [12, 12]}, "over plan.poses: 12 stands there twice"),
+        ({"plan.poses": [12, 12]}, "over plan.poses: 12 appears twice"),
         ({"plan.poses": [{1}]}, "over plan.poses: found {1}"),
         ({}, "nothing to sweep"),
         (["plan.poses"], "--over plan.poses: allowed is table.key=value,value,..."),

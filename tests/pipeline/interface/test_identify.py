@@ -171,9 +171,9 @@ BAD_TABLES = [
     (lambda t: t.head(0), "the DataFrame: the table is empty"),
     (lambda t: t.assign(roll=np.nan), "the DataFrame: column 'roll', row 1: found nan; allowed are finite numbers"),
     (lambda t: t.assign(roll="tilted"), "the DataFrame: column 'roll', row 1: found 'tilted'"),
-    (lambda t: t.assign(pose=0), "the DataFrame: pose 0 stands there twice (row 2)"),
+    (lambda t: t.assign(pose=0), "the DataFrame: pose 0 appears twice (row 2)"),
     (lambda t: t.assign(leg1_slide=500.0), "the DataFrame: pose 0: joint 'leg1_slide' would be at 500 m"),
-    (lambda t: pd.concat([t, t["roll"]], axis=1), "the DataFrame: column 'roll' stands there twice"),
+    (lambda t: pd.concat([t, t["roll"]], axis=1), "the DataFrame: column 'roll' appears twice"),
     (lambda t: t.head(2), "poses"),
     (lambda t: "absent.csv", "absent.csv"),
 ]
@@ -201,7 +201,7 @@ def test_a_plan_is_a_table(robot, tmp_path):
     assert list(plan.layouts.index) == ["grid", "random", "d_optimal"]
     assert (plan.layouts["mean_deg"] > 0).all()
     assert plan.needed == {}
-    with pytest.raises(kincal.InputError, match="stands there already"):
+    with pytest.raises(kincal.InputError, match="exists already"):
         plan.save(tmp_path / "plan.csv")
     wanted = kincal.plan(robot, accuracy_deg=0.01, layout="grid")
     assert wanted.needed["grid"] == len(wanted)
