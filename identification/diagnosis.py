@@ -128,7 +128,8 @@ def moved_far(parameters: Parameters, p: np.ndarray, std: np.ndarray) -> tuple[s
         size = f"{parameters.names[j]} moved by {moved[j]:.1f} tolerances ({p[j] * factor:+.4g} {unit})"
         uncertain = std[j] / parameters.tolerance[j]
         if uncertain > _HARDLY_TOLD:  # an estimator without priors
-            cause = f"the measurements determine it to {uncertain:.1f} tolerances only; estimator = 'map' uses the tolerances"
+            cause = f"the measurements determine it to {uncertain:.1f} tolerances only; "
+            cause += "estimator = 'map' uses the tolerances"
         else:
             cause = _cause(parameters.names[j], parameters.units[j])
         findings.append(f"{size}: {cause}")

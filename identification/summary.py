@@ -90,7 +90,8 @@ def _verdict(
     """What the chi-square says of the model and of the sensors' sigmas."""
     if freedom < 1:
         return (
-            "the poses give no more readings than the parameters they determine: residuals can't show whether the model is right",
+            "the poses give no more readings than the parameters they determine: "
+            "residuals can't show whether the model is right",
         )
     larger = float(np.sqrt(chi_square / freedom))
     if chdtrc(freedom, chi_square) < _SURPRISE:
