@@ -14,11 +14,11 @@ install: .venv/installed
 bench: .venv/installed
 	$(BIN)/python -m benchmarks
 
-# What becomes of results when a store is damaged: docs/cache.md.
+# What becomes of results when a store is damaged: docs/explanation/cache.md.
 damage: .venv/installed
 	$(BIN)/python -m benchmarks.damage
 
-# Hostile input, many thousand cases: docs/hostile_input.md.
+# Hostile input, many thousand cases: docs/explanation/hostile_input.md.
 fuzz: .venv/installed
 	$(BIN)/python -m tests.fuzz --cases 20000 --commands 60
 

@@ -146,7 +146,7 @@ def family_lines(table: pd.DataFrame) -> list[str]:
     n = sum(judged)
     return [
         f"{n} of {len(judged)} units out of family (designs of {FEWEST} units or more are judged; where all are alike, "
-        f"one is named in about {100 * FALSE_ALARM:g} % of such fleets: docs/fleet.md)"
+        f"one is named in about {100 * FALSE_ALARM:g} % of such fleets: docs/how-to/fleet.md)"
     ]
 
 

@@ -227,8 +227,8 @@ def named_parameters(*names: str) -> tuple[Parameters, np.ndarray]:
 KINDS = {
     "leg.zero": ("+1.5 mm", "check whether it was homed where actuator.leg.zero says"),
     "leg.gain": ("+5 mm/reading", "check actuator.leg.gain and the unit of the readings"),
-    "platform.x": ("+1.5 mm", "tolerance.position_mm no smaller than its errors?"),
-    "platform.ry": ("+0.25 deg", "tolerance.rotation_deg no smaller than its errors?"),
+    "platform.x": ("+1.5 mm", "whether tolerance.position_mm is too small"),
+    "platform.ry": ("+0.25 deg", "whether tolerance.rotation_deg is too small"),
 }
 
 

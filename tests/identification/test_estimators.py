@@ -403,6 +403,6 @@ def test_few_poses_cannot_tell_a_sigma(name, channels, n, loss, robot):
     loaded = robot(name)
     _, measured = noisy(loaded, channels, n, 50)
     with pytest.raises(
-        InputError, match=rf"sigma of orientation is not given, and {n} poses can't tell it .*\[sensor\]"
+        InputError, match=rf"sigma of orientation is not given, and {n} poses can't determine it .*\[sensor\]"
     ):
         estimate_parameters(loaded.model, replace(measured, assumed=channels), Identify(loss=loss))

@@ -51,7 +51,7 @@ assert sampler.is_running() is {wanted}
 
 
 def test_a_job_is_not_sampled_others_are(scheduler, tmp_path):
-    """Dask's statistical profiler takes a tenth of a worker's time (docs/fleet.md)."""
+    """Dask's statistical profiler takes a tenth of a worker's time (docs/how-to/fleet.md)."""
     with executor(Place(0, scheduler), tmp_path) as workers:
         for _ in range(2):
             workers.submit(exec, SAMPLED.format(wanted=False)).result()

@@ -1,22 +1,17 @@
 """`kincal run` on a sensor's log without a pose column and a command log: NMEA, a ROS 2 bag and CSV."""
 
-from functools import reduce
-
 import numpy as np
 import pandas as pd
 import pytest
-from rosbags.rosbag2 import Writer
-from rosbags.typesys import Stores, get_typestore
-from scipy.spatial.transform import Rotation
 
+from benchmarks import samples
+from benchmarks.samples import JOINTS, OFFSET_S, as_bag, as_nmea
 from kincal.pipeline.results import Filtered
 from kincal.pipeline.stages.registry import STAGES
 from kincal.urdf.description import load_robot
 from kincal.urdf.errors import InputError
 
-JOINTS = ["leg1_slide", "leg2_slide", "leg3_slide"]
-POSES, RATE, NOISE_DEG, OFFSET = 14, 20.0, 0.01, 900.0
-VECTOR = "geometry_msgs/msg/Vector3Stamped"
+POSES, RATE, NOISE_DEG = 14, 20.0, 0.01
 
 
 @pytest.fixture(scope="session")
@@ -29,8 +24,7 @@ def virtual(start, store):
     """A virtual robot's table, without noise: roll, pitch as the sensor would read them."""
     tracker = 'measure.channels=["orientation"]', "sensor.orientation_deg=1e-9"
     table = start(store, f"plan.poses={POSES}", 'plan.layout="random"', *tracker)[0].until("measure")[0].table
-    angles = Rotation.from_quat(table[["qx", "qy", "qz", "qw"]]).as_euler("ZYX")
-    return table.assign(roll=angles[:, 2], pitch=angles[:, 1])
+    return samples.tilts(table)
 
 
 @pytest.fixture(scope="session")
@@ -39,52 +33,12 @@ def campaign(virtual) -> tuple[pd.DataFrame, pd.DataFrame]:
 
     Pose 5 is left after a second.
     """
-    random = np.random.default_rng(3)
-    held = random.uniform(5.0, 7.0, POSES)
+    held = np.random.default_rng(3).uniform(5.0, 7.0, POSES)
     held[5] = 1.0
-    travel = 1.5
-    commanded = np.concatenate([[0.0], np.cumsum(held + travel)[:-1]])
-    t = np.arange(-3.0, commanded[-1] + travel + held[-1], 1 / RATE)
-    k = np.maximum(np.searchsorted(commanded, t, side="right") - 1, 0)
-    way = np.clip((t - commanded[k]) / travel, 0, 1)[:, None]
-    angles = virtual[["roll", "pitch"]].to_numpy()
-    before = angles[np.maximum(k - 1, 0)]
-    read = before + (angles[k] - before) * way**2 * (3 - 2 * way)
-    read = read + np.deg2rad(NOISE_DEG) * random.normal(size=read.shape)
-    log = pd.DataFrame({"t": t + OFFSET, "roll": read[:, 0], "pitch": read[:, 1]})
-    return log, pd.DataFrame({"t": commanded, **{name: virtual[name] for name in JOINTS}})
+    return samples.campaign(virtual, held, RATE, NOISE_DEG)
 
 
-def as_csv(log, folder):
-    log.to_csv(folder / "log.csv", index=False)
-    return folder / "log.csv"
-
-
-def as_nmea(log, folder):
-    """PRDID: pitch positive bow up, then roll; two sentences of a hundred spoiled on the way."""
-    lines = []
-    for k, (t, roll, pitch) in enumerate(np.column_stack([log["t"], np.rad2deg(log[["roll", "pitch"]])])):
-        body = f"PRDID,{-pitch:.5f},{roll:.5f},0.0"
-        check = reduce(lambda a, b: a ^ b, body.encode()) ^ (k % 50 == 7)
-        lines.append(f"{t:.3f} ${body}*{check:02X}")
-    (folder / "log.nmea").write_text("\n".join(lines))
-    return folder / "log.nmea"
-
-
-def as_bag(log, folder):
-    store = get_typestore(Stores.ROS2_HUMBLE)
-    types = store.types
-    with Writer(folder / "bag", version=9) as writer:
-        connection = writer.add_connection("/tilt", VECTOR, typestore=store)
-        for t, roll, pitch in log.to_numpy():
-            stamp = types["builtin_interfaces/msg/Time"](sec=int(t), nanosec=round((t % 1) * 1e9))
-            header = types["std_msgs/msg/Header"](stamp=stamp, frame_id="")
-            message = types[VECTOR](header=header, vector=types["geometry_msgs/msg/Vector3"](x=roll, y=pitch, z=0.0))
-            writer.write(connection, round(t * 1e9), bytes(store.serialize_cdr(message, VECTOR)))
-    return folder / "bag"
-
-
-@pytest.mark.parametrize("write", [as_csv, as_nmea, as_bag])
+@pytest.mark.parametrize("write", samples.FORMATS)
 def test_poses_from_a_log(write, start, store, virtual, campaign, tmp_path):
     """Against the true attitudes: every pose but the short one, as true as its noise allows; the faults are told."""
     log, commands = campaign
@@ -98,7 +52,7 @@ def test_poses_from_a_log(write, start, store, virtual, campaign, tmp_path):
     np.testing.assert_array_equal(table[JOINTS], virtual.loc[table.index, JOINTS])
     error = np.rad2deg(table[["roll", "pitch"]].to_numpy() - virtual.loc[table.index, ["roll", "pitch"]].to_numpy())
     assert np.abs(error).max() < 4 * NOISE_DEG / np.sqrt(2 * RATE)
-    assert measured.campaign.offset.seconds == pytest.approx(OFFSET, abs=0.3)
+    assert measured.campaign.offset.seconds == pytest.approx(OFFSET_S, abs=0.3)
     assert [d.pose for d in measured.campaign.dropped] == [5]
     said = [event.why for event in events if event.state == "noted"]
     assert any(line.startswith("pose 5 was left out: held for 2.5 s") for line in said)
@@ -139,7 +93,7 @@ def test_the_page_tells_of_the_log(start, store, campaign, tmp_path):
     files = f'measure.streams="{as_nmea(log, tmp_path)}"', f'measure.commands="{tmp_path / "commands.csv"}"'
     measured, filtered = start(store, 'measure.source="files"', *files)[0].until("measure", "filter")
     text = (ROOT / "kincal" / "pipeline" / "report" / "templates" / "page.html").read_text()
-    part = text[text.index("{% set dropped") : text.index("<h2>What was learned")]
+    part = text[text.index("{% set dropped") : text.index("<h2>Learned correction")]
     page = Environment(autoescape=True).from_string(part).render(campaign=measured.campaign, filtered=filtered)
     assert "13 of 14 commanded poses were used" in page
     assert "fail their checksum" in page
@@ -150,7 +104,7 @@ def test_the_page_tells_of_the_log(start, store, campaign, tmp_path):
     "settings, said",
     [
         (['measure.commands="c.csv"'], "commands need the stream that was logged beside them: set measure.streams"),
-        (['measure.commands="c.csv"', 'measure.table="t.csv"'], "commands and table both say the joint values"),
+        (['measure.commands="c.csv"', 'measure.table="t.csv"'], "commands and table both give the joint values"),
         (['measure.streams="s.log"'], "set measure.table or measure.commands"),
         (['measure.log.formt="nmea"'], "did you mean 'format'?"),
         (["measure.log.min_seconds=0"], "measure.log.min_seconds: found 0"),

@@ -118,7 +118,7 @@ def test_the_page_tells_of_the_stream(measured, from_files):
     stream.loc[3, "t"] = np.nan
     found, filtered = from_files(virtual.table, stream).until("measure", "filter")
     text = (ROOT / "kincal" / "pipeline" / "report" / "templates" / "page.html").read_text()
-    part = text[text.index("{% set dropped") : text.index("<h2>What was learned")]
+    part = text[text.index("{% set dropped") : text.index("<h2>Learned correction")]
     report = Environment(autoescape=True).from_string(part).render(campaign=found.campaign, filtered=filtered)
     assert f"streams.csv (csv): {len(stream) - 1} good samples, for 40 poses." in report
     assert f"1 of {len(stream)} records have no number for t, roll or pitch." in report
