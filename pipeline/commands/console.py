@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import shutil
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Literal
 
@@ -87,15 +88,24 @@ def check_verdict(verdict) -> None:
 
 
 def show_table(table, align: Literal["left", "right"] = "right", console: Console = out) -> None:
-    """A table, its columns one space apart where a terminal would be too narrow for two."""
-    cells = [max(map(len, column)) for column in zip(table.columns, *table.rows, strict=True)]
-    wide = sum(cells) + 2 * (len(cells) - 1) <= (shutil.get_terminal_size().columns if console.is_terminal else 100)
-    shown = RichTable(box=None, pad_edge=False, collapse_padding=not wide, header_style="bold")
-    for k, column in enumerate(table.columns):
+    """A table; where it is too wide, columns are one space apart, and units and words of headings stand below."""
+    room = shutil.get_terminal_size().columns if console.is_terminal else 100
+    headings, gap = table.columns, 2
+    if _width(headings, table.rows, gap) > room:
+        gap = 1
+        if _width(headings, table.rows, gap) > room:
+            headings = tuple(heading.replace(" ", "\n") for heading in headings)
+    shown = RichTable(box=None, pad_edge=False, collapse_padding=gap == 1, header_style="bold")
+    for k, column in enumerate(headings):
         shown.add_column(Text(column), justify="left" if k == 0 else align, no_wrap=True)
     for row in table.rows:
         shown.add_row(*(Text(cell) for cell in row))
     console.print(shown)
+
+
+def _width(headings: Sequence[str], rows: Sequence[Sequence[str]], gap: int) -> int:
+    widths = (max(map(len, column)) for column in zip(headings, *rows, strict=True))
+    return sum(widths) + gap * (len(headings) - 1)
 
 
 def print_table(table, as_json: bool) -> None:

@@ -155,7 +155,22 @@ class Calibration:
     def changes_since(self, before: Calibration) -> CampaignChanges:
         """Compare the geometry with that of an earlier campaign of the same robot, in sigmas.
 
-        Raises InputError where the two robots have different drawings.
+        Parameters
+        ----------
+        before
+            A calibration of the same robot.toml from other measurements.
+
+        Returns
+        -------
+        CampaignChanges
+            `changed`, `table`, and `lines` for people.
+
+        Raises
+        ------
+        InputError
+            The two robots have different drawings.
+        CalibrationError
+            As the stages that run.
         """
         from kincal.pipeline.interface.changes import changes_between
 

@@ -26,6 +26,12 @@ class CampaignChanges:
         The names of the two robots.
     changes
         The full result, with its arrays.
+
+    Examples
+    --------
+    >>> import kincal
+    >>> kincal.CampaignChanges.__name__
+    'CampaignChanges'
     """
 
     before: str

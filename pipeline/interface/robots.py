@@ -86,7 +86,19 @@ def propose(drawing: str | PathLike[str], output: str | PathLike[str] | None = N
 
 
 def robot_schema() -> dict[str, Any]:
-    """Return the JSON Schema of robot.toml, as `kincal schema` prints it."""
+    """Return the JSON Schema of robot.toml, as `kincal schema` prints it.
+
+    Returns
+    -------
+    dict
+        A JSON Schema, draft 2020-12. Checks across fields, such as names of joints, are left to `load`.
+
+    Examples
+    --------
+    >>> import kincal
+    >>> kincal.robot_schema()["$id"]
+    'kincal-robot-1'
+    """
     from kincal.urdf.schema import robot_schema
 
     return robot_schema()

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from kincal.pipeline.report.numbers import fixed
+from kincal.pipeline.report.numbers import fixed, significant
 from kincal.pipeline.report.tables import Table
 from kincal.pipeline.run.fan_out import Failure, Outcome
 from kincal.pipeline.store.files import replace_files
@@ -24,7 +24,6 @@ if TYPE_CHECKING:
     from kincal.identification.identification import Identification
 
 _SHOWN = ("nominal", "geometric", "hybrid")  # methods
-_DIGITS = {"mean_deg": 5, "mean_mm": 4}
 _FAMILY = {
     "spread": "Float64",
     "misfit": "Float64",
@@ -108,13 +107,13 @@ def shown_table(table: pd.DataFrame) -> Table:
         scores = {row["method"]: row for row in robot}
         cells = [robot[0]["robot"], "" if robot[0]["n_poses"] is None else str(robot[0]["n_poses"])]
         for unit in units:
-            cells += [fixed(scores.get(method, {}).get(unit), _DIGITS[unit]) for method in _SHOWN]
-            cells.append(fixed(scores.get("hybrid", {}).get(unit.replace("mean", "max")), _DIGITS[unit]))
+            cells += [significant(scores.get(method, {}).get(unit)) for method in _SHOWN]
+            cells.append(significant(scores.get("hybrid", {}).get(unit.replace("mean", "max"))))
         cells += [fixed(robot[0][name], 2) for name in ("spread", "misfit", "distance")]
         rows.append((*cells, _remark(robot[0])))
     columns = ["robot", "poses"]
     for unit in units:
-        columns += [f"{name} [{UNITS[unit]}]" for name in (*_SHOWN, "its max")]
+        columns += [f"{name} [{UNITS[unit]}]" for name in (*_SHOWN, "hybrid max")]
     return Table((*columns, "spread", "misfit", "distance", "remark"), tuple(rows))
 
 

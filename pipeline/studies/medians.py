@@ -4,15 +4,13 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from kincal.pipeline.report.numbers import fixed
+from kincal.pipeline.report.numbers import significant
 from kincal.pipeline.report.tables import Table
 from kincal.pipeline.studies.rows import UNITS, records
 from kincal.pipeline.studies.sweep import Sweep
 
 if TYPE_CHECKING:
     import pandas as pd
-
-_DIGITS = {"mean_deg": 5, "mean_mm": 4}
 
 
 def medians(sweep: Sweep) -> pd.DataFrame:
@@ -44,7 +42,7 @@ def median_tables(sweep: Sweep) -> list[tuple[str, Table]]:
         for row in records(table):
             label = tuple(str(row[key]) for key in sweep.keys) or (sweep.robot,)
             cells = rows.setdefault(label, {"jobs": str(row["jobs"])})
-            cells[row["method"]] = fixed(row[mean], _DIGITS[mean])
+            cells[row["method"]] = significant(row[mean])
         columns = (*(sweep.keys or ["robot"]), "jobs", *methods)
         lines = tuple((*label, cells["jobs"], *(cells.get(m, "") for m in methods)) for label, cells in rows.items())
         title = f"median over {n} seed{'s' * (n > 1)} of the mean error [{UNITS[mean]}]"

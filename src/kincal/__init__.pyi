@@ -2,11 +2,12 @@
 
 from .pipeline.interface.calibration import Calibration, calibrate
 from .pipeline.interface.campaign import Foresight, Plan, foresee, measure, plan
+from .pipeline.interface.changes import CampaignChanges
 from .pipeline.interface.fit import Fit, identify
 from .pipeline.interface.fleets import FleetResult, fleet
 from .pipeline.interface.job_progress import JobEvent
 from .pipeline.interface.reproduction import Reproduction, reproduce
-from .pipeline.interface.robots import load, propose
+from .pipeline.interface.robots import load, propose, robot_schema
 from .pipeline.interface.sea import SeaOptions, SeaTrialResult, sea_trial
 from .pipeline.interface.sweeps import SweepResult, sweep
 from .pipeline.results import Comparison
@@ -25,6 +26,7 @@ from .version import __version__
 __all__ = [
     "Calibration",
     "CalibrationError",
+    "CampaignChanges",
     "Comparison",
     "Event",
     "Fit",
@@ -52,6 +54,7 @@ __all__ = [
     "plan",
     "propose",
     "reproduce",
+    "robot_schema",
     "sea_trial",
     "sweep",
 ]

@@ -122,7 +122,7 @@ def test_the_page_tells_of_the_stream(measured, from_files):
     report = Environment(autoescape=True).from_string(part).render(campaign=found.campaign, filtered=filtered)
     assert f"streams.csv (csv): {len(stream) - 1} good samples, for 40 poses." in report
     assert f"1 of {len(stream)} records have no number for t, roll or pitch." in report
-    assert "1 commanded poses were left out" in report
+    assert "Skipped commanded poses: 1" in report
     assert "pose 7: channel &#39;roll&#39; is stuck at 7.16197 degrees" in report
 
 

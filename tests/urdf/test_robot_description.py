@@ -60,7 +60,7 @@ REFUSALS = {
         ["measure.columns.x.unit", "inch", "mm"],
     ),
     "an unknown channel": ('["tilt", "yaw"]', '["colour"]', ["measure.channels", "colour", "tilt"]),
-    "orientation and tilt": ('["tilt", "yaw"]', '["orientation", "tilt"]', ["channels", "either"]),
+    "orientation and tilt": ('["tilt", "yaw"]', '["orientation", "tilt"]', ["channels", "only one of them"]),
     "files without a table": ('source = "virtual"', 'source = "files"', ["measure", "table"]),
     "all poses held out": ("[plan]", "[split]\ntest = 1.0\n[plan]", ["split.test", "less than 1"]),
     "a negative seed": ("seed = 0", "seed = -1", ["seed", "-1"]),
