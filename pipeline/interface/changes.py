@@ -13,8 +13,6 @@ if TYPE_CHECKING:
     from kincal.pipeline.interface.fit import Fit
     from kincal.pipeline.report.tables import Table
 
-_SHOWN = 12  # parameters, for people
-
 
 @dataclass(frozen=True, repr=False)
 class CampaignChanges:
@@ -41,7 +39,9 @@ class CampaignChanges:
     @property
     def changed(self) -> bool:
         """Whether the robot changed: less than one robot in 10,000 shows as much by chance."""
-        return self.changes.p_value < 1e-4
+        from kincal.pipeline.report.changes import CHANCE
+
+        return self.changes.p_value < CHANCE
 
     @cached_property
     def table(self) -> pd.DataFrame:
@@ -55,45 +55,25 @@ class CampaignChanges:
     @property
     def lines(self) -> list[str]:
         """For people, a sentence each."""
-        from kincal.pipeline.report.numbers import significant
+        from kincal.pipeline.report.changes import change_lines
 
-        found, names = self.changes, [self.changes.names[k] for k in self.changes.likely]
-        size = f"chi-square {significant(found.chi_square)} over {found.freedom} degrees of freedom"
-        if not self.changed:
-            return [f"From {self.before} to {self.after}: no significant change ({size}, p = {found.p_value:.2g})."]
-        lines = [f"From {self.before} to {self.after}: the robot changed ({size}, p = {found.p_value:.2g})."]
-        if names:
-            alike = "one of these alone, which the measurements cannot tell apart" if len(names) > 1 else "alone"
-            lines.append(f"Best explained by a change of {', '.join(names)} ({alike}).")
-        else:
-            lines.append("No change of a single parameter explains it.")
-        return lines
+        return change_lines(self.changes, self.before, self.after)
 
     def shown(self) -> Table:
         """The parameters that explain most, each as if it alone had changed."""
-        import numpy as np
+        from kincal.pipeline.report.changes import change_table
 
-        from kincal.identification.identification import HUMAN
-        from kincal.pipeline.report.numbers import fixed
-        from kincal.pipeline.report.parameters import decimals
-        from kincal.pipeline.report.tables import Table
-
-        found, rows = self.changes, []
-        for k in np.argsort(-np.abs(found.sigmas), kind="stable")[:_SHOWN]:
-            if abs(found.sigmas[k]) < found.limit:
-                break
-            unit, factor = HUMAN[found.units[k]]
-            digits = decimals(found.std[k] * factor)
-            cells = (fixed(found.change[k] * factor, digits), fixed(found.std[k] * factor, digits))
-            rows.append((found.names[k], unit, *cells, fixed(found.sigmas[k], 1)))
-        return Table(("parameter, if it alone changed", "unit", "change", "sigma", "in sigmas"), tuple(rows))
+        return change_table(self.changes)
 
     def to_dict(self) -> dict[str, Any]:
         """A document for JSON, in SI units and radians."""
-        import numpy as np
-
-        table = self.table.replace([np.inf, -np.inf], np.nan).reset_index()
-        rows = [{k: None if v != v else v for k, v in row.items()} for row in table.to_dict(orient="records")]
+        found = self.changes
+        values = zip(found.names, found.units, found.change.tolist(), found.std.tolist(), strict=True)
+        rows = [
+            {"name": name, "unit": unit, "change": change}
+            | {"std": std if std < float("inf") else None, "sigmas": change / std}
+            for name, unit, change, std in values
+        ]
         return {
             "before": self.before,
             "after": self.after,

@@ -7,7 +7,7 @@ from .pipeline.interface.fit import Fit, identify
 from .pipeline.interface.fleets import FleetResult, fleet
 from .pipeline.interface.job_progress import JobEvent
 from .pipeline.interface.reproduction import Reproduction, reproduce
-from .pipeline.interface.robots import load, propose, robot_schema
+from .pipeline.interface.robots import load, propose
 from .pipeline.interface.sea import SeaOptions, SeaTrialResult, sea_trial
 from .pipeline.interface.sweeps import SweepResult, sweep
 from .pipeline.results import Comparison
@@ -54,7 +54,6 @@ __all__ = [
     "plan",
     "propose",
     "reproduce",
-    "robot_schema",
     "sea_trial",
     "sweep",
 ]
