@@ -14,6 +14,9 @@ from typing import TYPE_CHECKING, Any, BinaryIO
 import numpy as np
 import pandas as pd
 
+from kincal.identification.channels import CHANNELS
+from kincal.identification.dialect import recognised
+from kincal.identification.workbooks import WORKBOOKS, workbook
 from kincal.urdf.description import Measure
 from kincal.urdf.errors import InputError
 from kincal.urdf.input_files import bounded, check_file, unreadable
@@ -26,23 +29,59 @@ MAX_LINE = 1 << 20  # bytes of a line of CSV
 MAX_COLUMNS = 2_000
 MAX_ROWS = 4_000_000
 MAX_CELLS = 32_000_000
+TABLE_NAMES = ("pose", "t", *(name for c in CHANNELS for group in (c.columns, *c.other_columns) for name in group))
+_TRAILING = "trailing separator"  # a name for what stands behind it: nothing
 _PACKED = (b"\x1f\x8b", b"PK\x03\x04", b"BZh", b"\xfd7zXZ", b"\x28\xb5\x2f\xfd")  # gzip, zip, bzip2, xz, zstd
 
 
-def load(file: Path, measure: Measure) -> pd.DataFrame:
-    """A CSV (with the separator and decimal sign of [measure]) or Parquet file; of Parquet without nested columns."""
+def load(file: Path, measure: Measure, wanted: Sequence[str] = ()) -> pd.DataFrame:
+    """A text table, a Parquet file (without nested columns) or a workbook.
+
+    wanted: names that its columns may have. What was recognised stands in the table's `attrs`: `notes`, and `units` of
+    columns by a row of units.
+    """
     check_file(file, MAX_BYTES)
+    names = (*wanted, *TABLE_NAMES)
     with readable(file):
         if file.suffix.lower() in (".parquet", ".pq"):
             return _parquet(file)
-        columns = len(header(file, measure))
-        with open(file, "rb") as stream:
-            _check_size(file, sum(1 for _ in _lines(file, stream)), columns)
-        options: dict[str, Any] = {"sep": measure.separator, "decimal": measure.decimal, "skipinitialspace": True}
-        with warnings.catch_warnings():
-            warnings.simplefilter("error", pd.errors.ParserWarning)
-            # else a row that is longer than the header makes its first columns an index: all others move
-            return pd.read_csv(file, compression=None, index_col=False, **options)
+        if file.suffix.lower() in WORKBOOKS:
+            return workbook(file, measure, names)
+        return _text(file, measure, names)
+
+
+def _text(file: Path, measure: Measure, wanted: Sequence[str]) -> pd.DataFrame:
+    with open(file, "rb") as stream:
+        if stream.read(8).startswith(_PACKED):
+            raise InputError(f"{file}: it is compressed; unpack it first")
+        stream.seek(0)
+        rows = sum(1 for _ in _lines(file, stream))
+    dialect = recognised(file, measure, wanted)
+    if dialect.block:
+        raise InputError(
+            f"{file}: {dialect.block}. Make a table with one line of names: pose, one column a joint, and x, y, z, qx, "
+            "qy, qz, qw"
+        )
+    if not any(dialect.names):
+        raise InputError(f"{file}: the file is empty; a header and at least one row are needed")
+    check_names(file, dialect.names)
+    _check_size(file, rows, len(dialect.names))
+    names = [*dialect.names, *([_TRAILING] if dialect.trailing else [])]
+    options: dict[str, Any] = {
+        "sep": r"\s+" if dialect.separator == " " else dialect.separator,
+        "decimal": dialect.decimal,
+        "encoding": dialect.encoding,
+        "comment": measure.comment,
+        "skiprows": list(dialect.skipped),
+        "names": names,
+        "usecols": list(range(len(dialect.names))) if dialect.trailing else None,
+    }
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", pd.errors.ParserWarning)
+        # else a row that is longer than the header makes its first columns an index: all others move
+        table = pd.read_csv(file, compression=None, index_col=False, header=None, skipinitialspace=True, **options)
+    table.attrs.update(notes=dialect.notes, units=dialect.units)
+    return table
 
 
 def header(file: Path, measure: Measure) -> list[str]:
@@ -51,7 +90,7 @@ def header(file: Path, measure: Measure) -> list[str]:
         if stream.read(8).startswith(_PACKED):
             raise InputError(f"{file}: it is compressed; unpack it first")
         stream.seek(0)
-        rows = csv.reader(_texts(file, stream), delimiter=measure.separator, skipinitialspace=True)
+        rows = csv.reader(_texts(file, stream), delimiter=measure.separator or ",", skipinitialspace=True)
         names = next((row for row in rows if any(cell.strip() for cell in row)), [])
     if not names:
         raise InputError(f"{file}: the file is empty; a header and at least one row are needed")

@@ -77,10 +77,12 @@ class Measured:
     stream: Frame | None
     truth: Truth | None
     campaign: Campaign | None = None  # where the stream was read from a file
+    notes: tuple[str, ...] = ()  # on the table: what was not used
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        return () if self.campaign is None else self.campaign.warnings
+        """For people, a sentence each."""
+        return (*self.notes, *(() if self.campaign is None else self.campaign.warnings))
 
 
 @dataclass(frozen=True)

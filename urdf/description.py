@@ -36,7 +36,7 @@ Positive = Annotated[float, Field(gt=0)]
 NotNegative = Annotated[float, Field(ge=0)]
 File = Annotated[Path, Field(strict=False)]
 Seed = Annotated[int, Field(ge=0, lt=2**32)]
-Unit = Literal["m", "mm", "rad", "deg", "rev", "1"]
+Unit = Literal["m", "mm", "cm", "in", "rad", "deg", "rev", "1"]
 Layout = Literal["grid", "random", "d_optimal"]
 
 SENSORS: dict[str, tuple[Literal["deg", "mm"], float]] = {  # each channel's unit in [sensor], and its usual sigma
@@ -228,8 +228,12 @@ class Measure(_Table):
     commands: File | None = None  # t and joint values as commanded, in place of `table`: poses are found in `streams`
     log: Log = Log()  # how `streams` is read
     columns: dict[str, Column] = {}
-    separator: Annotated[str, Field(min_length=1, max_length=1)] = ","
-    decimal: Literal[".", ","] = "."
+    # how a text table is written; what is not set is recognised
+    separator: Annotated[str, Field(min_length=1, max_length=1)] | None = None
+    decimal: Literal[".", ","] | None = None
+    encoding: Annotated[str, Field(min_length=1, max_length=40)] | None = None
+    header_row: Annotated[int, Field(ge=1, le=200)] | None = None  # the line that names the columns, from 1
+    comment: Annotated[str, Field(min_length=1, max_length=1)] | None = None  # begins a line that is no data
     channels: tuple[Channel, ...] | None = Field(default=None, strict=False)  # virtual; default: all that can move
     seed: Seed | None = None  # virtual: of this unit's errors and its noise; default: the seed at the top
     stream: Stream | None = None  # virtual: tilt and yaw come as streams; without it, as one reading a pose

@@ -40,7 +40,7 @@ def read_commands(file: Path, joints: Sequence[str], measure: Measure) -> Holds:
     A row holds from its time to the next row's: targets alone, or a controller's set points many times a second.
     Raises InputError that names the column, the row and the value.
     """
-    raw = load(file, measure)
+    raw = load(file, measure, joints)
     columns = {}
     for name in ("t", *joints, "pose"):
         column = measure.columns.get(name, Column.model_validate({"from": name}))

@@ -11,9 +11,10 @@ from typing import BinaryIO
 
 import pandas as pd
 
-from kincal.identification.streams.columns import mapped, values
+from kincal.identification.dialect import recognised
+from kincal.identification.streams.columns import OPTIONAL, REQUIRED, mapped, values
 from kincal.identification.streams.health import Tally
-from kincal.identification.table_files import decoded, header, parquet, readable
+from kincal.identification.table_files import TABLE_NAMES, decoded, header, parquet, readable
 from kincal.urdf.description import Measure
 from kincal.urdf.input_files import bounded_each
 
@@ -30,6 +31,7 @@ def logged(file: Path, measure: Measure, form: str, by_pose: bool, tally: Tally)
         if form == "parquet":
             yield from _parquet(file, measure, by_pose, tally)
             return
+        measure = _written(file, measure)
         names = header(file, measure)
         columns = mapped(names, measure, file, by_pose)
         sources = [c.source for c in columns.values()]
@@ -43,7 +45,7 @@ def has_pose(file: Path, measure: Measure, form: str) -> bool:
         with parquet(file) as (_, names):
             pass
     else:
-        names = header(file, measure)
+        names = header(file, _written(file, measure))
     column = measure.columns.get("pose")
     return "pose" in names or (column is not None and column.source in names)
 
@@ -59,7 +61,7 @@ def _parquet(file: Path, measure: Measure, by_pose: bool, tally: Tally) -> Itera
 
 
 def _csv(file: Path, measure: Measure, names: list[str], wanted: list[str], tally: Tally) -> Iterator[pd.DataFrame]:
-    separator = measure.separator.encode()
+    separator = (measure.separator or ",").encode()
     with open(file, "rb") as stream:
         stream.readline()
         while block := list(islice(_lines(stream), ROWS)):
@@ -71,13 +73,21 @@ def _csv(file: Path, measure: Measure, names: list[str], wanted: list[str], tall
                     header=None,
                     names=names,
                     usecols=wanted,
-                    sep=measure.separator,
-                    decimal=measure.decimal,
+                    sep=measure.separator or ",",
+                    decimal=measure.decimal or ".",
                     skipinitialspace=True,
                     encoding_errors="replace",
                     low_memory=False,
                 )
                 yield _with_points(chunk) if measure.decimal == "," else chunk
+
+
+def _written(file: Path, measure: Measure) -> Measure:
+    """With the separator and the decimal sign that are recognised where they are not set."""
+    if measure.separator is not None and measure.decimal is not None:
+        return measure
+    dialect = recognised(file, measure, (*REQUIRED, *OPTIONAL, *TABLE_NAMES))
+    return measure.model_copy(update={"separator": dialect.separator, "decimal": dialect.decimal})
 
 
 def _with_points(table: pd.DataFrame) -> pd.DataFrame:

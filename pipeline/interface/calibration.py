@@ -333,7 +333,7 @@ class Calibration:
         calibrated, settings = self._with(None), self.robot.description.measure
         if columns is not None:
             settings = settings.model_copy(update={"columns": read_columns(Path(columns))})
-        raw, source = raw_table(data, settings, "data")
+        raw, source = raw_table(data, settings, "data", self.robot.description.actuated)
         measured = calibrated.measurements(raw, source, settings)
         trained_on = self._until("measure")[0].source
         return evaluated(calibrated, measured, source, trained_on=trained_on, register=register, rehome=rehome)

@@ -21,20 +21,24 @@ Readings: TypeAlias = "pd.DataFrame | np.ndarray | str | PathLike[str]"
 FRAME = "the DataFrame"  # how messages name a table that has no file
 
 
-def raw_table(data: Data, measure: Measure, argument: str) -> tuple[pd.DataFrame, Path | str]:
+def raw_table(
+    data: Data, measure: Measure, argument: str, joints: Sequence[str] = ()
+) -> tuple[pd.DataFrame, Path | str]:
     """A table as it is, and how messages name it. Raises InputError; `argument` names the argument.
 
-    A file is read with the separator and the decimal sign of `measure`.
+    A file is read as `measure` says, or as it is recognised; joints: names that its columns may have.
     """
     import pandas as pd
 
     from kincal.identification.table_files import check_names, load
 
     if isinstance(data, str | PathLike):
-        return load(Path(data), measure), Path(data)
+        return load(Path(data), measure, joints), Path(data)
     if not isinstance(data, pd.DataFrame):  # pyright: ignore[reportUnnecessaryIsInstance]
         kind = type(data).__name__
-        raise InputError(f"{argument}: found a {kind}; allowed are a DataFrame, or the path of a CSV or Parquet file")
+        raise InputError(
+            f"{argument}: found a {kind}; allowed are a DataFrame, or the path of a CSV, Parquet or Excel file"
+        )
     names = [str(name) for name in data.columns]
     check_names(FRAME, names)
     return data.set_axis(names, axis="columns"), FRAME
@@ -46,7 +50,7 @@ def raw_readings(readings: Readings, joints: Sequence[str], measure: Measure) ->
     import pandas as pd
 
     if not isinstance(readings, np.ndarray):
-        return raw_table(readings, measure, "readings")
+        return raw_table(readings, measure, "readings", joints)
     table = np.atleast_2d(readings)
     if table.ndim != 2 or table.shape[1] != len(joints):
         raise InputError(

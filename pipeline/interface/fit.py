@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from kincal.pipeline.interface.data import Data, raw_table
-from kincal.pipeline.interface.progress import StageObserver, stage_observer
+from kincal.pipeline.interface.progress import StageObserver, logger, stage_observer
 from kincal.pipeline.interface.robots import RobotLike, robot_of
 from kincal.urdf.description import Robot
 
@@ -170,14 +170,17 @@ def identify(robot: RobotLike, data: Data | None = None, *, progress: StageObser
 
 def measured_table(robot: Robot, model: Model, data: Data) -> Measured:
     """A table that was brought, as the measure stage hands it on. Raises InputError."""
-    from kincal.identification.measurements import canonical_table, check_readings
+    from kincal.identification.measurements import canonical_table, check_readings, table_notes
     from kincal.pipeline.results import Measured
     from kincal.pipeline.stages.robot_data import DrawnRobot
 
     description = robot.description
-    raw, source = raw_table(data, description.measure, "data")
+    raw, source = raw_table(data, description.measure, "data", description.actuated)
     errors = DrawnRobot.of(model, description).errors
     table = canonical_table(raw, errors.chain.actuated_names, description.measure, source)
     check_readings(table, errors.chain, errors.actuators, description.tolerance, source)
+    notes = table_notes(raw, errors.chain.actuated_names, description.measure, source)
+    for note in notes:
+        logger.warning("%s", note)
     name = source.name if isinstance(source, Path) else source
-    return Measured(name, table, None, None)
+    return Measured(name, table, None, None, notes=notes)

@@ -52,7 +52,7 @@ def _own(file: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     from kincal.identification.table_files import load
     from kincal.urdf.description import Measure
 
-    raw = load(file, Measure())
+    raw = load(file, Measure(), _KNOWN)
     if raw.empty:
         raise InputError(f"{file}: it has no row; needed are at least two frequencies, and directions")
     for name in raw.columns:

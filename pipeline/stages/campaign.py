@@ -88,7 +88,7 @@ def filter_stage(measured: Measured, filter: Filter, sensor: Sensor) -> Filtered
 
 def _from_files(chain: ClosedChain, nominal: ErrorModel, measure: Measure, tolerance: Tolerance) -> Measured:
     """Static poses as a table; joint values and a stream that names poses; or a log and the commands of its time."""
-    from kincal.identification.measurements import check_readings, read_table
+    from kincal.identification.measurements import check_readings, noted_table
     from kincal.identification.streams.campaign import Campaign
     from kincal.identification.streams.reading import read_stream
     from kincal.identification.streams.static_poses import static_poses
@@ -99,9 +99,9 @@ def _from_files(chain: ClosedChain, nominal: ErrorModel, measure: Measure, toler
         return Measured(poses.campaign.health.file, poses.table, poses.stream, None, poses.campaign)
     assert measure.table is not None
     settings = measure if measure.streams is None else measure.of_columns(("pose", *chain.actuated_names))
-    table = read_table(measure.table, chain.actuated_names, settings, measured=measure.streams is None)
+    table, notes = noted_table(measure.table, chain.actuated_names, settings, measured=measure.streams is None)
     check_readings(table, chain, nominal.actuators, tolerance, measure.table)
     if measure.streams is None:
-        return Measured(measure.table.name, table, None, None)
+        return Measured(measure.table.name, table, None, None, notes=notes)
     stream, health = read_stream(measure.streams, measure)
     return Measured(health.file, table, stream, None, Campaign(health, None, len(table), len(table), ()))

@@ -117,7 +117,7 @@ def _read_text(content: str, joints, **settings) -> pd.DataFrame:
 REFUSALS = {
     "an empty file": ("", ["empty"]),
     "a header only": (HEADER + "\n", ["empty", "at least one row"]),
-    "not UTF-8": (GOOD.encode() + b"3,\xff\xfe,1,1,0,0,0,1\n", ["not a table"]),
+    "not UTF-8": (GOOD.encode() + b"3,\xff\xfe,1,1,0,0,0,1\n", ["leg1_slide", "row 4", "finite"]),
     "NaN": (GOOD.replace("0.46", "nan", 1), ["'leg2_slide'", "row 1", "nan", "finite"]),
     "infinity": (GOOD.replace("0.48", "inf", 1), ["'leg3_slide'", "row 2", "inf", "finite"]),
     "nothing between commas": (GOOD.replace("0.48", "", 1), ["'leg3_slide'", "row 2", "finite"]),
@@ -141,7 +141,6 @@ REFUSALS = {
         GOOD.replace("qw", "qw,orientation_std").replace("0,0,0,1", "0,0,0,1,1").replace("0.8\n", "0.8,-1e-5\n"),
         ["'orientation_std'", "row 2", "greater than 0"],
     ),
-    "the wrong separator": (GOOD.replace(",", ";"), ["leg1_slide"]),
     "a row too long": (GOOD + "3,1,1,1,0,0,0,1,9,9,9\n", []),
 }  # fmt: skip
 
