@@ -18,7 +18,7 @@ _OPENINGS = (
     r"(Of|Nor|From) [^,]{0,60} (is|are|was|were) ",
     r"(That|Where) [^,]* is what ",
 )
-_END = re.compile(r"(?<=[.!?])[\"')*_]*\s+(?=[A-Z0-9`\"'(\[*])")
+_END = re.compile(r"(?<=[.!?])[\"')*_]*\s+(?=[A-Z0-9`\"'(\[*]|kincal )")
 
 
 def sentences(markdown: str) -> Iterator[str]:
