@@ -17,7 +17,8 @@ from benchmarks.setup import spread
 from kincal.identification.accuracy import score
 from kincal.identification.error_model import ErrorModel
 from kincal.identification.estimators import estimate_parameters, register
-from kincal.identification.measurements import Measurements, read_table, to_measurements
+from kincal.identification.measurement_table import read_table
+from kincal.identification.measurements import Measurements, to_measurements
 from kincal.pipeline.stages.drawing import model_stage
 from kincal.urdf.description import ROBOTS, Identify, load_robot
 from kincal.urdf.errors import CalibrationError

@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 
 from kincal.identification.innovations import StaticInnovations
-from kincal.identification.measurements import UNITS
+from kincal.identification.measurement_table import UNITS
 from kincal.identification.static_poses import static_attitudes
 from kincal.identification.streams.campaign import DroppedPose
 from kincal.identification.streams.repeats import STUCK

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from kincal.identification.measurements import UNITS
+from kincal.identification.measurement_table import UNITS
 from kincal.identification.streams.bag_files import check_bag
 from kincal.identification.streams.health import Tally
 from kincal.urdf.description import Column, Measure

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from kincal.identification.measurements import UNITS
+from kincal.identification.measurement_table import UNITS
 from kincal.identification.table_files import floats
 from kincal.urdf.description import Column, Measure, listed
 from kincal.urdf.errors import InputError

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from kincal.identification.measurements import numbers
+from kincal.identification.measurement_table import numbers
 from kincal.identification.streams.columns import times
 from kincal.identification.table_files import floats, load
 from kincal.urdf.description import Column, Measure, listed

@@ -8,7 +8,8 @@ import numpy as np
 import pandas as pd
 
 from kincal.identification.channels import parts
-from kincal.identification.measurements import canonical_table, to_measurements
+from kincal.identification.measurement_table import canonical_table
+from kincal.identification.measurements import to_measurements
 from kincal.pipeline.compensator.commands import Commands, commands
 from kincal.pipeline.compensator.goal import Goal
 from kincal.pipeline.compensator.solvers import Solvers

@@ -170,7 +170,7 @@ def identify(robot: RobotLike, data: Data | None = None, *, progress: StageObser
 
 def measured_table(robot: Robot, model: Model, data: Data) -> Measured:
     """A table that was brought, as the measure stage hands it on. Raises InputError."""
-    from kincal.identification.measurements import canonical_table, check_readings, table_notes
+    from kincal.identification.measurement_table import canonical_table, check_readings, table_notes
     from kincal.pipeline.results import Measured
     from kincal.pipeline.stages.robot_data import DrawnRobot
 

@@ -78,7 +78,7 @@ def _own(file: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
 
 
 def _column(raw: pd.DataFrame, name: str, file: Path) -> np.ndarray:
-    from kincal.identification.measurements import numbers
+    from kincal.identification.measurement_table import numbers
 
     if name not in raw:
         raise InputError(f"{file}: column {name!r} is missing; it has {listed(raw.columns)}")

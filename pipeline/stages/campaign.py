@@ -88,7 +88,7 @@ def filter_stage(measured: Measured, filter: Filter, sensor: Sensor) -> Filtered
 
 def _from_files(chain: ClosedChain, nominal: ErrorModel, measure: Measure, tolerance: Tolerance) -> Measured:
     """Static poses as a table; joint values and a stream that names poses; or a log and the commands of its time."""
-    from kincal.identification.measurements import check_readings, noted_table
+    from kincal.identification.measurement_table import check_readings, noted_table
     from kincal.identification.streams.campaign import Campaign
     from kincal.identification.streams.reading import read_stream
     from kincal.identification.streams.static_poses import static_poses

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from kincal.identification.column_names import matched, misspelt, unused
-from kincal.identification.measurements import noted_table, read_table
+from kincal.identification.measurement_table import noted_table, read_table
 from kincal.urdf.description import Measure
 from kincal.urdf.errors import InputError
 

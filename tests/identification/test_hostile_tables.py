@@ -16,7 +16,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from kincal.identification import table_files
-from kincal.identification.measurements import read_table
+from kincal.identification.measurement_table import read_table
 from kincal.identification.streams.reading import read_log
 from kincal.identification.table_files import load
 from kincal.urdf import input_files

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from kincal.identification.estimators import estimate_parameters, register
-from kincal.identification.measurements import read_table, to_measurements
+from kincal.identification.measurement_table import read_table
+from kincal.identification.measurements import to_measurements
 from kincal.identification.summary import summarise
 
 

@@ -9,7 +9,7 @@ import pytest
 
 from kincal.identification.accuracy import score
 from kincal.identification.error_model import ErrorModel
-from kincal.identification.measurements import read_table
+from kincal.identification.measurement_table import read_table
 from kincal.identification.poses import planned
 from kincal.pipeline.planning.layouts import LAYOUTS, MOST, Wanted, planner
 from kincal.pipeline.run.stage import all_stages
@@ -171,9 +171,9 @@ def test_a_small_table_on_stderr(plan):
     lines = answer.err.splitlines()
     heading = next(k for k, line in enumerate(lines) if line.startswith("jugglebot: 12 poses"))
     assert "orientation, position" in lines[heading]
-    for word in ("O1", "O5", "condition", "mean [deg]", "max [mm]"):
-        assert word in lines[heading + 1]
-    assert [line.split()[0] for line in lines[heading + 2 : heading + 5]] == list(LAYOUTS)
+    for word in ("O1", "O5", "condition", "[deg]", "[mm]"):
+        assert word in lines[heading + 2]
+    assert [line.split()[0] for line in lines[heading + 3 : heading + 6]] == list(LAYOUTS)
     assert len(read(answer.out)) == 12
 
 

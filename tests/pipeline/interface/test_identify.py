@@ -164,7 +164,7 @@ def test_a_frame_is_left_as_it_was(robot, data):
 
 
 BAD_TABLES = [
-    (lambda t: [1, 2, 3], "data: found a list; allowed are a DataFrame, or the path of a CSV or Parquet file"),
+    (lambda t: [1, 2, 3], "data: found a list; allowed are a DataFrame, or the path of a CSV, Parquet or Excel file"),
     (lambda t: t.drop(columns="leg2_slide"), "the DataFrame: column 'leg2_slide' (leg2_slide) is missing; it has pose"),
     (lambda t: t.drop(columns="roll"), "the DataFrame: it has pitch, but not roll; allowed is all of them or none"),
     (lambda t: t[["pose", "leg1_slide", "leg2_slide", "leg3_slide"]], "the DataFrame: nothing was measured"),
