@@ -6,7 +6,8 @@ usual mistakes are tried, one at a time: a wrong unit, another order of a quater
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections import Counter
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
@@ -15,15 +16,21 @@ from kincal.identification.error_model import ErrorModel, Parameters
 from kincal.identification.estimators import Estimate, register, registration_of
 from kincal.identification.identification import HUMAN
 from kincal.identification.measurements import Measurements
-from kincal.identification.mistakes import MISTAKES
+from kincal.identification.mistakes import ROWS, TRANSFORMS
+from kincal.identification.mistakes.mistake import Kind, Mistake
+from kincal.identification.mistakes.registered import registered as registered_quickly
+from kincal.identification.mistakes.registered import tool_poses
 from kincal.identification.registration import MIN_POSES
 from kincal.identification.shrinkage import N_FRAMES, Linear, standardise
 from kincal.urdf.errors import CalibrationError, InputError
-from kincal.urdf.rigid_motion import log
+from kincal.urdf.rigid_motion import Motion, log
 
 _EXCESS = 25.0  # mean square of residuals over what tolerances and noise explain: beyond, a mistake is looked for
 _BETTER = 10.0  # a mistake explains the residuals if they are so much smaller without it
 _ALIKE = 2.0  # mistakes whose residuals are within this factor explain them alike
+_LONGEST = 300  # poses, among which wrong rows are looked for
+_CLEAN = 1.5  # excess of a table without a mistake: less is as good
+_SOME, _CLOSER, _WORSE = 24, 8, 30.0  # poses of a quick look, mistakes that are looked at closely, times the least
 _LOOK = 60  # poses, and steps of a registration, that are enough to see a mistake
 _FEW_STEPS = 6
 _NOISE = 3.0  # poses that differ by less than so many sigmas excite nothing
@@ -40,7 +47,7 @@ def registered(model: ErrorModel, measured: Measurements, max_iterations: int) -
     _check_spread(model, measured)
     few = measured[np.linspace(0, len(measured) - 1, min(len(measured), _LOOK)).astype(int)]
     excess = _excess(model, few)
-    cause = likely_cause(model, few, excess) if excess > _EXCESS else ""
+    cause = likely_cause(model, measured, few, excess) if excess > _EXCESS else ""
     if cause and np.isfinite(excess):
         raise InputError(
             f"measurements: registered to the nominal robot they are off by {np.sqrt(excess):.3g} times what "
@@ -52,19 +59,62 @@ def registered(model: ErrorModel, measured: Measurements, max_iterations: int) -
         raise type(error)(f"{error}{cause and '; likely cause: ' + cause}") from None
 
 
-def likely_cause(model: ErrorModel, measured: Measurements, excess: float) -> str:
-    """The mistakes without which the residuals are much smaller, where several explain them alike; else nothing."""
-    limit = min(excess / _BETTER, _EXCESS)
-    mistakes = [mistake for kind in MISTAKES for mistake in kind(model, measured)]
-    tried = [(_excess(model, measured, mistake.undone), mistake.cause) for mistake in mistakes]
-    least = min(size for size, _ in tried)
+def likely_cause(model: ErrorModel, whole: Measurements, measured: Measurements, excess: float) -> str:
+    """The mistakes without which the residuals are much smaller, where several explain them alike; else nothing.
+
+    whole: all poses; measured: as many of them as show a mistake of all rows.
+    """
+    limit = max(min(excess / _BETTER, _EXCESS), _CLEAN)
+    some = measured[np.linspace(0, len(measured) - 1, min(len(measured), _SOME)).astype(int)]
+    rows = whole[:_LONGEST]
+    likely = [(mistake, measured) for mistake in _likeliest(TRANSFORMS, model, measured, some)]
+    likely += [(mistake, rows) for mistake in _likeliest(ROWS, model, rows, rows)]
+    tried = [(_excess(model, data, mistake.undone), mistake) for mistake, data in likely]
+    least = min((size for size, _ in tried), default=np.inf)
     if least < limit:
-        return ", or ".join(cause for size, cause in tried if size < _ALIKE * least)
+        return _named([mistake for size, mistake in tried if size < _ALIKE * max(least, _CLEAN)])
     for channel in measured.channels:
         others = tuple(c for c in measured.channels if c != channel)
         if any(c.registers for c in named(others)) and _excess(model, measured, lambda m, c=others: m.only(c)) < limit:
             return f"{channel} contradicts {' and '.join(others)}: without it the measurements agree with the drawing"
     return ""
+
+
+def _likeliest(kinds: Sequence[Kind], model: ErrorModel, data: Measurements, some: Measurements) -> list[Mistake]:
+    """The mistakes without which residuals at some poses are smallest, by a quick registration: worth a closer look."""
+    sizes: list[tuple[float, int, Mistake]] = []
+    tool = _tool_poses(model, some)
+    for mistake in (mistake for kind in kinds for mistake in _of_kind(kind, model, data)):
+        try:
+            data_there = mistake.undone(some)
+            same = tool if data_there.readings is some.readings else None
+            sizes.append((registered_quickly(model, data_there, same).size, len(sizes), mistake))
+        except (InputError, CalibrationError, np.linalg.LinAlgError, ValueError):
+            continue
+    sizes.sort(key=lambda entry: entry[:2])
+    return [mistake for size, _, mistake in sizes[:_CLOSER] if size < _WORSE * sizes[0][0]]
+
+
+def _tool_poses(model: ErrorModel, measured: Measurements) -> Motion | None:
+    try:
+        return tool_poses(model, measured.readings)
+    except InputError:
+        return None
+
+
+def _named(mistakes: Sequence[Mistake]) -> str:
+    """Their causes; several that a symmetry makes one are named once."""
+    counts = Counter(mistake.alike for mistake in mistakes if mistake.alike)
+    causes = (m.alike if m.alike and counts[m.alike] > 1 else m.cause for m in mistakes)
+    return ", or ".join(dict.fromkeys(causes))
+
+
+def _of_kind(kind: Kind, model: ErrorModel, measured: Measurements) -> list[Mistake]:
+    """Its mistakes; none where it can't look for them."""
+    try:
+        return list(kind(model, measured))
+    except (InputError, CalibrationError, np.linalg.LinAlgError):
+        return []
 
 
 def _check_spread(model: ErrorModel, measured: Measurements) -> None:

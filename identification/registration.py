@@ -34,10 +34,11 @@ class _Candidate:
     target: np.ndarray  # (3, 3)
 
 
-def starts(tool: Motion, measured: Measurements) -> list[tuple[Motion, Motion]]:
+def starts(tool: Motion, measured: Measurements, quick: bool = False) -> list[tuple[Motion, Motion]]:
     """Starts for (W, T), best guess first, from tool poses in the base frame (n) and what was measured there.
 
-    Raises InputError where there are fewer than 3 poses.
+    quick: where the tool's own turns would give a closed form, and what was measured does not, there is no start.
+    Raises InputError where there are fewer than 3 poses, or no start.
     """
     if len(measured) < MIN_POSES:
         raise InputError(f"measurements: {len(measured)} poses can't register W and T; at least {MIN_POSES} are needed")
@@ -46,6 +47,8 @@ def starts(tool: Motion, measured: Measurements) -> list[tuple[Motion, Motion]]:
     rotation, tilt, position = _orientation(measured), measured.values.get("tilt"), measured.values.get("position")
     if rotation is not None:
         candidates = _kronecker(rotation, tool.rotation)
+        if quick and candidates is None and _kronecker(tool.rotation, tool.rotation) is not None:
+            raise InputError("measurements: the orientations are no turns of this tool")
         pairs = [candidates or _alternate(rotation, tool.rotation)]
         if candidates is None and position is not None:  # a tool that does not turn: its path tells W
             pairs += [

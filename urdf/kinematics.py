@@ -235,14 +235,15 @@ class _Problem:
         return jacobian[:, :, self.unknown]
 
 
-def forward(chain: ClosedChain, actuated: np.ndarray, start: np.ndarray | None = None) -> Closure:
+def forward(chain: ClosedChain, actuated: np.ndarray, start: np.ndarray | None = None, direct: bool = False) -> Closure:
     """Joints to tool: close the loops at actuated joint values (n, n_actuated) [rad or m].
 
     start: (n, n_joints), closed configurations near by where they are known (their branch is kept);
-    otherwise home's branch is followed.
+    otherwise home's branch is followed. direct: rows that Newton's method does not close at once stay open; else they
+    are approached from home in steps.
     """
     problem = _Problem(chain, chain.passive, ())
-    return _solve(problem, np.asarray(actuated, dtype=float), chain.home[chain.actuated], start)
+    return _solve(problem, np.asarray(actuated, dtype=float), chain.home[chain.actuated], start, direct)
 
 
 def inverse(chain: ClosedChain, u: np.ndarray, start: np.ndarray | None = None) -> Closure:
@@ -257,12 +258,14 @@ def inverse(chain: ClosedChain, u: np.ndarray, start: np.ndarray | None = None) 
     return _solve(problem, np.asarray(u, dtype=float)[:, axes], home, start)
 
 
-def _solve(problem: _Problem, target: np.ndarray, home_target: np.ndarray, start: np.ndarray | None) -> Closure:
+def _solve(
+    problem: _Problem, target: np.ndarray, home_target: np.ndarray, start: np.ndarray | None, direct: bool = False
+) -> Closure:
     chain = problem.chain
     q = np.tile(chain.home, (len(target), 1)) if start is None else start
     branch = np.linalg.slogdet(problem.jacobian(tree(chain, chain.home[None])))[0][0]
     closure = _newton(problem, q, target, branch)
-    for steps in _CONTINUATION:
+    for steps in () if direct else _CONTINUATION:
         todo = np.flatnonzero(~closure.closed)
         if not len(todo):
             break

@@ -18,6 +18,7 @@ class Mistake:
 
     cause: str
     undone: Callable[[Measurements], Measurements]
+    alike: str = ""  # words for several of its kind, where a symmetry makes them one
 
 
 Kind = Callable[[ErrorModel, Measurements], Iterator[Mistake]]  # all of one kind that these measurements may have
