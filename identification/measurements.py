@@ -34,6 +34,17 @@ class Measurements:
         values, std = ({c: v[rows] for c, v in of.items()} for of in (self.values, self.std))
         return replace(self, pose=self.pose[rows], readings=self.readings[rows], values=values, std=std)
 
+    def shared_with(self, other: Measurements) -> int:
+        """How many rows stand bit for bit in `other`, too: readings, and all that was measured."""
+        if self.channels != other.channels:
+            return 0
+        rows = {row.tobytes() for row in other._rows()}
+        return sum(row.tobytes() in rows for row in self._rows())
+
+    def _rows(self) -> np.ndarray:
+        parts = [self.readings, *(self.values[c].reshape(len(self), -1) for c in self.channels)]
+        return np.ascontiguousarray(np.concatenate(parts, axis=1))
+
     def only(self, channels: Sequence[str]) -> Measurements:
         """Without the other channels."""
         values, std = ({c: v for c, v in of.items() if c in channels} for of in (self.values, self.std))

@@ -187,10 +187,20 @@ class Comparison:
     channels: tuple[str, ...]
     methods: tuple[MethodScore, ...]
     held_out: tuple[MethodScore, ...]
+    n_held_out: int
     raw_nominal: MethodScore  # the nominal robot with W = T = 1
     closed_loop: tuple[MethodScore, ...]  # after compensation: reached against desired poses (virtual robots)
     not_reached: dict[str, int]  # poses that a method had no command for
     advice: Advice | None = None  # of `run` and `compare`
+
+    @property
+    def helps_nowhere(self) -> bool:
+        """Whether the drawing is as good as each of the methods."""
+        nominal, *others = self.methods
+        errors = {key: getattr(nominal, key) for key in ("mean_deg", "mean_mm")}
+        return all(
+            getattr(score, key) >= error for key, error in errors.items() if error is not None for score in others
+        )
 
 
 @dataclass(frozen=True)

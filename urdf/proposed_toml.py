@@ -13,6 +13,7 @@ import tomlkit
 from tomlkit import TOMLDocument
 from tomlkit.items import InlineTable, Item, Table
 
+from kincal.urdf.description import ROBOTS
 from kincal.urdf.errors import InputError
 from kincal.urdf.proposal import Proposal, propose
 from kincal.urdf.proposed_loops import TOLERANCES, Meeting
@@ -56,7 +57,7 @@ def robot_toml(proposal: Proposal, drawing: Path, output: Path) -> str:
     _say(document, f"Proposed by `kincal init` from {drawing.name}: read every line before you trust it.")
     if proposal.problem:
         _say(document, f"NOT READY, kincal run refuses it: {proposal.problem}")
-    _put(document, "name", _name(proposal.name or drawing.stem))
+    _put(document, "name", _robot_name(proposal, drawing))
     _put(document, "urdf", Path(os.path.relpath(drawing.absolute(), output.absolute().parent)).as_posix())
     _put(document, "base_frame", mechanism.base_frame, "what everything hangs on; any frame that does not move")
     others = f"; on the same body: {_listed(proposal.spare_frames)}" if proposal.spare_frames else ""
@@ -223,6 +224,12 @@ def _millimetres(metres: float) -> str:
 
 def _short(value: float) -> float | int:
     return int(value) if value == int(value) else value
+
+
+def _robot_name(proposal: Proposal, drawing: Path) -> str:
+    """The drawing's, unless a robot that comes with kincal has it: then the folder's."""
+    name = _name(proposal.name or drawing.stem)
+    return _name(drawing.absolute().parent.name) if (ROBOTS / name).is_dir() else name
 
 
 def _name(name: str) -> str:

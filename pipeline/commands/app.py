@@ -11,11 +11,13 @@ from typing import Any
 from cyclopts import App, CycloptsError
 from rich.text import Text
 
+from kincal.pipeline.commands.console import PipedConsole
 from kincal.pipeline.interface.progress import err
 from kincal.urdf.errors import CalibrationError, InputError, of_system, one_line
 from kincal.version import __version__
 
 app = App(
+    console=PipedConsole(),
     name="kincal",
     help="Calibrates closed-chain (parallel) robots from a handful of measured poses.",
     help_format="plaintext",

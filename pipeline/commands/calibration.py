@@ -190,7 +190,7 @@ def predict(
     """
     calibration = opened(robot, common)
     print_table(calibration.predict(joints, method=method), json)
-    note_virtual(calibration)
+    note_virtual(calibration.robot.description)
 
 
 def compensate(
@@ -208,7 +208,7 @@ def compensate(
     calibration = opened(robot, common)
     commands = calibration.compensate(poses, method=method, strict=True)
     print_table(commands.drop(columns=["reached", "obstacle"]), json)
-    note_virtual(calibration)
+    note_virtual(calibration.robot.description)
 
 
 def evaluate(

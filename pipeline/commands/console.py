@@ -17,16 +17,17 @@ from kincal.pipeline.interface.progress import err
 from kincal.urdf.errors import CalibrationError
 
 
-class _Console(Console):
-    """Of a fixed width: a pipe has none, and a terminal wraps a long line better than rich cuts a table."""
+class PipedConsole(Console):
+    """A console whose reader may close the pipe."""
 
     def on_broken_pipe(self) -> None:
         """Whoever reads has seen enough: `kincal .. | head` is no error (rich would exit with 1)."""
         raise BrokenPipeError
 
 
-out = _Console(highlight=False, width=300)
-aside = _Console(stderr=True, highlight=False, width=300)  # tables on stderr
+# a fixed width: a pipe has none, and a terminal wraps a long line better than rich cuts a table
+out = PipedConsole(highlight=False, width=300)
+aside = PipedConsole(stderr=True, highlight=False, width=300)  # tables on stderr
 
 
 def say(text: str, style: str = "") -> None:
@@ -56,12 +57,18 @@ def show_comparison(compared) -> None:
             say(f"{name} reaches all but {n} of the desired poses; its row leaves those out")
     if compared.advice is not None:
         say(compared.advice.text)
+    elif compared.helps_nowhere:
+        say(
+            "Finding: no method is better than nominal at these poses. If the instrument or the robot was set up anew "
+            "since the calibration, try --register or --rehome.",
+            "yellow",
+        )
 
 
-def note_virtual(calibration) -> None:
+def note_virtual(description) -> None:
     """Say on stderr that a result is a virtual robot's, where the result itself has no place for it."""
-    if calibration.virtual:
-        name = calibration.robot.description.name
+    if description.measure.virtual:
+        name = description.name
         err.print(Text(f"note: {name} is a virtual robot: its errors are simulated, not measured.", style="yellow"))
 
 

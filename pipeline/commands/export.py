@@ -38,7 +38,7 @@ def export(
     """
     calibration = opened(robot, common)
     exported = calibration.export(output, format=format, method=method, force=force)
-    note_virtual(calibration)
+    note_virtual(calibration.robot.description)
     if exported.path is None:
         print_json(exported.document)
         return

@@ -8,7 +8,7 @@ from typing import Annotated
 from cyclopts import Parameter
 from rich.text import Text
 
-from kincal.pipeline.commands.console import out, print_json, short, show_table
+from kincal.pipeline.commands.console import note_virtual, out, print_json, short, show_table
 from kincal.pipeline.commands.options import COMMON, Common, Flag, Json, Robot, command_line
 
 
@@ -58,6 +58,7 @@ def sweep(
         for kind, file in zip(("table", "figure"), result.files or (), strict=False):
             if file is not None:
                 out.print(Text(f"{kind}: {short(file)}"), soft_wrap=True)
+    note_virtual(loaded.description)
     result.check()
 
 
@@ -77,7 +78,7 @@ def reproduce(
     seeds
         How many seeds, from 0: each draws robot, noise, split and networks (default: 10; with --quick: 2).
     quick
-        A preview in about two minutes: fewer sizes and seeds, wider intervals.
+        A preview in about half a minute: fewer sizes and seeds, wider intervals.
     on
         How many worker processes (1: this process), or dask://host:port.
     output

@@ -11,9 +11,11 @@ from kincal.urdf.actuators import Actuators
 from kincal.urdf.closed_chain import ClosedChain
 from kincal.urdf.description import Workspace
 from kincal.urdf.errors import UnreachablePoseError
-from kincal.urdf.kinematics import Closure, forward
+from kincal.urdf.kinematics import Closure, forward, tool_coordinates
 from kincal.urdf.rigid_motion import Motion
-from kincal.urdf.workspace import beyond_limits, condition_numbers
+from kincal.urdf.workspace import beyond_limits, bounds, condition_numbers
+
+_SLACK = 0.05  # of the workspace's size: an actual robot is a little beside the nominal one
 
 
 @dataclass(frozen=True)
@@ -45,6 +47,7 @@ class Commands:
     poses: np.ndarray  # (n,) their numbers
     readings: np.ndarray  # (n, n_actuated)
     obstacles: tuple[str, ...]  # (n,) why a pose can't be reached; empty where it can
+    outside: np.ndarray  # (n,) bool: reached, but outside the workspace
 
     def check(self) -> None:
         """Raises UnreachablePoseError that names the first pose that can't be reached."""
@@ -58,7 +61,16 @@ def commands(
 ) -> Commands:
     """Readings that reach desired poses (n), numbered `poses` (n,), as far as they can be reached."""
     tried = attempt(solver, desired, chain, actuators)
-    return Commands(poses, tried.readings, _obstacles(tried, chain, workspace))
+    outside = tried.good(chain, workspace) & ~_inside(tried, chain, workspace)
+    return Commands(poses, tried.readings, _obstacles(tried, chain, workspace), outside)
+
+
+def _inside(tried: Attempt, chain: ClosedChain, workspace: Workspace) -> np.ndarray:
+    """(n,) whether the nominal tool is in the workspace there, or beside it by a small part of its size."""
+    low, high = bounds(workspace).T
+    slack = _SLACK * (high - low)
+    u = tool_coordinates(chain, tried.closure.pose)[:, list(chain.tool_axes)]
+    return ((u >= low - slack) & (u <= high + slack)).all(axis=1)
 
 
 def _obstacles(tried: Attempt, chain: ClosedChain, workspace: Workspace) -> tuple[str, ...]:

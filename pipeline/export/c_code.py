@@ -82,7 +82,7 @@ def export(
     description = session.robot.description
     output, name = output or Path(f"{description.name}_compensator"), code_name(description.name)
     marker = output / f"{name}.h"
-    check_folder_free(output, session.robot.file, force, marker)
+    check_folder_free(output, session.robot, force, marker)
     robot = calibrated(session.robot.description, session.until, method)
     chosen = robot.methods[method]
     assert isinstance(chosen, ModelMethod | HybridMethod)
@@ -92,7 +92,7 @@ def export(
     with beside(output) as temporary:
         for file, text in files.items():
             (temporary / file).write_text(text, encoding="utf-8")
-        check_folder_free(output, session.robot.file, force, marker)
+        check_folder_free(output, session.robot, force, marker)
         if output.exists():
             for file in files:
                 (temporary / file).replace(output / file)

@@ -41,12 +41,12 @@ def export(session: Run, output: Path | None = None, force: bool = False, method
     the export does not predict what the identified model predicts; then nothing is written.
     """
     output = Path(f"{session.robot.description.name}_calibrated") if output is None else output
-    check_folder_free(output, session.robot.file, force, output / "robot.toml")
+    check_folder_free(output, session.robot, force, output / "robot.toml")
     require_urdf(session.until("model")[0].urdf)
     calibrated = identified_robot(session)
     with beside(output) as temporary:
         exported = write_folder(calibrated, temporary, output)
-        check_folder_free(output, session.robot.file, force, output / "robot.toml")
+        check_folder_free(output, session.robot, force, output / "robot.toml")
         if output.exists():
             for name in FILES:
                 (temporary / name).replace(output / name)

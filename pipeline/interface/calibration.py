@@ -14,10 +14,10 @@ from typing import TYPE_CHECKING, Any
 from kincal.pipeline.interface.campaign import Foresight
 from kincal.pipeline.interface.data import Data, Readings, raw_readings, raw_table, score_frame
 from kincal.pipeline.interface.fit import Fit, measured_table
-from kincal.pipeline.interface.progress import StageObserver
+from kincal.pipeline.interface.progress import StageObserver, logger
 from kincal.pipeline.interface.robots import RobotLike, robot_of
 from kincal.pipeline.interface.sessions import COMMAND, opened
-from kincal.urdf.description import Robot
+from kincal.urdf.description import Robot, listed
 from kincal.urdf.errors import InputError
 
 if TYPE_CHECKING:
@@ -272,6 +272,11 @@ class Calibration:
         commands = commands_of(calibrated, self._solvers, method, raw, source)
         if strict:
             commands.check()
+        if commands.outside.any():
+            logger.warning(
+                "poses %s are outside [workspace]: nobody has measured how accurate the robot is there",
+                listed(commands.poses[commands.outside]),
+            )
         reached = np.array([not obstacle for obstacle in commands.obstacles])
         readings = np.where(reached[:, None], commands.readings, np.nan)
         columns = dict(zip(calibrated.model.chain.actuated_names, readings.T, strict=True))
@@ -327,6 +332,7 @@ class Calibration:
         InputError, CalibrationError
             As `evaluate`.
         """
+        from kincal.identification.measurements import to_measurements
         from kincal.pipeline.methods.evaluation import evaluated
         from kincal.urdf.description import read_columns
 
@@ -336,7 +342,13 @@ class Calibration:
         raw, source = raw_table(data, settings, "data", self.robot.description.actuated)
         measured = calibrated.measurements(raw, source, settings)
         trained_on = self._until("measure")[0].source
-        return evaluated(calibrated, measured, source, trained_on=trained_on, register=register, rehome=rehome)
+        comparison = evaluated(calibrated, measured, source, trained_on=trained_on, register=register, rehome=rehome)
+        names = calibrated.model.chain.actuated_names
+        used = to_measurements(self._until("filter")[0].table, names, self.robot.description.sensor)
+        if known := measured.shared_with(used):
+            text = "%s: %d of %d poses were used for the calibration: their errors are too small"
+            logger.warning(text, source, known, len(measured))
+        return comparison
 
     def export(
         self,

@@ -269,6 +269,7 @@ def measure(robot: RobotLike, *, seed: int | None = None, progress: StageObserve
     -------
     pandas.DataFrame
         A measurement table as `identify` and `calibrate` take it, one row a pose; a stream has gone through the filter.
+        `attrs["virtual"]` is True: the errors are simulated.
 
     Raises
     ------
@@ -285,7 +286,9 @@ def measure(robot: RobotLike, *, seed: int | None = None, progress: StageObserve
 
     robot = virtual_robot(robot, seed)
     observe = stage_observer(progress, robot.description.name)
-    return InMemory(robot.description, observe=observe).result("filter").table
+    table = InMemory(robot.description, observe=observe).result("filter").table
+    table.attrs["virtual"] = True
+    return table
 
 
 def virtual_robot(robot: RobotLike, seed: int | None = None) -> Robot:

@@ -164,7 +164,7 @@ def identify(robot: RobotLike, data: Data | None = None, *, progress: StageObser
         run = InMemory(description, {"model": model, "measure": measured_table(robot, model, data)}, observe)
     poses = Poses.measured_on(model, run.result("filter"), description)
     with fixed_threads(("scipy",)):
-        identification, _ = as_built(poses.errors, poses.measurements, description.identify)
+        identification, _ = as_built(poses, description.identify)
     return Fit(robot, identification)
 
 

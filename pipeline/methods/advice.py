@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from kincal.identification.channels import scored
+from kincal.identification.coverage import NOT_COVERED
 from kincal.identification.predicted_accuracy import mean_length
 from kincal.pipeline.methods.calibrated import SURE, Calibrated
 from kincal.pipeline.methods.predictors import METHODS
@@ -39,7 +40,11 @@ def advise(
             more = int(np.ceil(factor * n / 10) * 10)
             saved = (n / more) ** power
     later = tuple(None if e is None or more is None else saved * e for e in expected)
-    sentences = [f"Recommended: {best}.", f"Expected mean error at poses like the measured ones: {_size(*expected)}."]
+    covered = not any(NOT_COVERED in finding for finding in findings)
+    sentences = [
+        f"Recommended{'' if covered else ' at poses like the measured ones, not all over [workspace]'}: {best}.",
+        f"Expected mean error at poses like the measured ones: {_size(*expected)}.",
+    ]
     if more is not None:
         sentences.append(f"With {more - n} more poses ({more}): about {_size(*later)}.")
     elif power > 0 or not len(corrected.learning_curve):

@@ -40,6 +40,7 @@ def evaluated(
         channels=channels,
         methods=scores(methods, measured, actual, channels),
         held_out=(),
+        n_held_out=0,
         raw_nominal=scores({RAW: uncalibrated(model)}, measured, actual, channels)[0],
         closed_loop=(),
         not_reached={},

@@ -34,8 +34,9 @@ class Verdict:
     """Whether a calibration meets its limits."""
 
     method: str
-    poses: str  # which were scored
+    poses: str  # how many were scored, and which
     checks: tuple[Check, ...]
+    virtual: bool  # simulated, not measured
 
     @property
     def passed(self) -> bool:
@@ -46,7 +47,8 @@ class Verdict:
     def line(self) -> str:
         """One sentence for people; failed checks first."""
         checks = sorted(self.checks, key=lambda c: c.passed)
-        return f"{'PASS' if self.passed else 'FAIL'}: {self.method}, {self.poses}: {'; '.join(map(str, checks))}"
+        word = f"{'PASS' if self.passed else 'FAIL'}{' (virtual robot)' * self.virtual}"
+        return f"{word}: {self.method}, {self.poses}: {'; '.join(map(str, checks))}"
 
 
 def verdict(limits: Limits, compared: Comparison, method: str) -> Verdict | None:
@@ -56,12 +58,13 @@ def verdict(limits: Limits, compared: Comparison, method: str) -> Verdict | None
     """
     if not limits.given:
         return None
-    scores, poses = compared.held_out, "held-out poses as measured"
+    scores, poses = compared.held_out, f"{compared.n_held_out} held-out poses as measured"
     if not scores:
-        poses = "cross-validation" if compared.scored_on == "held_out" else compared.scored_on
-        scores = compared.methods
+        which = "poses in cross-validation" if compared.scored_on == "held_out" else f"poses of {compared.scored_on}"
+        scores, poses = compared.methods, f"{compared.n_scored} {which}"
     score = next(s for s in scores if s.name == method)
-    return Verdict(method, poses, tuple(_check(name, limit, score, compared) for name, limit in limits.given.items()))
+    checks = tuple(_check(name, limit, score, compared) for name, limit in limits.given.items())
+    return Verdict(method, poses, checks, compared.source == "virtual")
 
 
 def _check(name: str, limit: float, score: MethodScore, compared: Comparison) -> Check:

@@ -23,7 +23,7 @@ def identify_stage(poses: Poses, measured: Measured, identify: Identify) -> Iden
     errors, measurements, split, seed = poses.errors, poses.measurements, poses.split, poses.seed
     parts = () if measured.truth is not None else folds(len(measurements), split, seed)
     test = held_out(len(measurements), split, seed)
-    shipped, registered = as_built(errors, measurements, identify)
+    shipped, registered = as_built(poses, identify)
     measurements = measurements.scaled(shipped.sensor_estimated)
     return Identified(
         shipped=shipped,
@@ -33,15 +33,21 @@ def identify_stage(poses: Poses, measured: Measured, identify: Identify) -> Iden
     )
 
 
-def as_built(errors: ErrorModel, poses: Measurements, settings: Identify) -> tuple[Identification, np.ndarray]:
+def as_built(poses: Poses, settings: Identify) -> tuple[Identification, np.ndarray]:
     """The robot from all of these poses; and (n_parameters,) W and T alone."""
+    from dataclasses import replace
+
+    from kincal.identification.coverage import coverage_finding
     from kincal.identification.diagnosis import registered as register
     from kincal.identification.estimators import estimate_parameters
     from kincal.identification.summary import summarise
 
-    registered = register(errors, poses, settings.max_iterations)
-    whole = estimate_parameters(errors, poses, settings, registered)
-    return summarise(errors, poses, whole, registered, settings), registered.p
+    errors, measurements = poses.errors, poses.measurements
+    registered = register(errors, measurements, settings.max_iterations)
+    whole = estimate_parameters(errors, measurements, settings, registered)
+    made = summarise(errors, measurements, whole, registered, settings)
+    uncovered = coverage_finding(errors, poses.model.mechanism.workspace, measurements, whole, poses.seed)
+    return replace(made, findings=(*made.findings, *([uncovered] if uncovered else []))), registered.p
 
 
 def _fit(errors: ErrorModel, poses: Measurements, test: np.ndarray, settings: Identify) -> Fit:

@@ -78,6 +78,7 @@ def evaluate_stage(
         channels=channels,
         methods=methods,
         held_out=scores(held_out.methods, test, test.as_poses(), channels),
+        n_held_out=len(test),
         raw_nominal=scores({RAW: uncalibrated(errors)}, at, actual, channels)[0],
         closed_loop=compensated.scores,
         not_reached={
