@@ -1,120 +1,118 @@
-"""What is wrong with measurements that no robot near its drawing could have made, and what a refused fit suffers from.
-
-Registered to the nominal robot, residuals are compared with what the tolerances can do. Where they are far larger the
-usual mistakes are tried, one at a time: a wrong unit, another order of a quaternion, swapped columns, a turned sign.
-"""
+"""Measurements that no robot near its drawing could have made are refused; what a refused fit suffers from."""
 
 from __future__ import annotations
 
-from collections import Counter
-from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
 from kincal.identification.channels import named
 from kincal.identification.error_model import ErrorModel, Parameters
-from kincal.identification.estimators import Estimate, register, registration_of
+from kincal.identification.estimators import Estimate, register
 from kincal.identification.identification import HUMAN
+from kincal.identification.likely_causes import Causes, causes_of_small, likely_causes, misfit
 from kincal.identification.measurements import Measurements
-from kincal.identification.mistakes import ROWS, TRANSFORMS
-from kincal.identification.mistakes.mistake import Kind, Mistake
-from kincal.identification.mistakes.registered import registered as registered_quickly
-from kincal.identification.mistakes.registered import tool_poses
 from kincal.identification.registration import MIN_POSES
-from kincal.identification.shrinkage import N_FRAMES, Linear, standardise
-from kincal.urdf.errors import CalibrationError, InputError
-from kincal.urdf.rigid_motion import Motion, log
+from kincal.urdf.errors import CalibrationError, InputError, MovedFarError
+from kincal.urdf.rigid_motion import log
 
-_EXCESS = 25.0  # mean square of residuals over what tolerances and noise explain: beyond, a mistake is looked for
-_BETTER = 10.0  # a mistake explains the residuals if they are so much smaller without it
-_ALIKE = 2.0  # mistakes whose residuals are within this factor explain them alike
-_LONGEST = 300  # poses, among which wrong rows are looked for
-_CLEAN = 1.5  # excess of a table without a mistake: less is as good
-_SOME, _CLOSER, _WORSE = 24, 8, 30.0  # poses of a quick look, mistakes that are looked at closely, times the least
-_LOOK = 60  # poses, and steps of a registration, that are enough to see a mistake
-_FEW_STEPS = 6
+_MISFIT = 16.0  # beyond, a mistake is looked for: four times what tolerances and sigmas allow
+_FLAGGED_BETTER = 1.5  # a mistake explains parameters that moved far if the misfit is so many times smaller without it
+_SMALL_MISFIT, _SMALL_BETTER = 2.5, 2.0  # and large residuals, where the misfit is larger than that
+_CLOSED = 1e-9  # [m, rad] of loops that close, though not on home's branch
 _NOISE = 3.0  # poses that differ by less than so many sigmas excite nothing
 _HARDLY_TOLD = 2.0  # tolerances of one sigma
 FLAGGED, REFUSED = 4.0, 12.0  # tolerances that a parameter may have moved by
 
 
-def registered(model: ErrorModel, measured: Measurements, max_iterations: int) -> Estimate:
-    """`register`, after a look at whether the measurements can be those of a robot near its drawing.
+@dataclass(frozen=True)
+class Screening:
+    """Which poses may be fitted."""
 
-    Raises InputError and CalibrationError as `register` does, with the likely cause where there is one, and InputError
-    for poses that excite nothing and for residuals that a mistake in the measurements explains.
+    kept: np.ndarray  # (n,) bool
+    causes: str  # of the others
+    misfit: float  # of those that may be
+
+    @property
+    def finding(self) -> str:
+        n = int(np.sum(~self.kept))
+        return f"{n} of {len(self.kept)} poses are left out: {self.causes}" if n else ""
+
+
+def screened(model: ErrorModel, measured: Measurements, reject_outliers: bool = True) -> Screening:
+    """Looks at whether the measurements can be those of a robot near its drawing, before they are fitted.
+
+    Poses that do not fit the others are left out. Raises InputError for poses that excite nothing, for loops that can't
+    be closed, and for whatever a mistake in the measurements explains, with its cause.
     """
     _check_spread(model, measured)
-    few = measured[np.linspace(0, len(measured) - 1, min(len(measured), _LOOK)).astype(int)]
-    excess = _excess(model, few)
-    cause = likely_cause(model, measured, few, excess) if excess > _EXCESS else ""
-    if cause and np.isfinite(excess):
-        raise InputError(
-            f"measurements: registered to the nominal robot they are off by {np.sqrt(excess):.3g} times what "
-            f"[tolerance] and [sensor] explain; likely cause: {cause}"
-        )
-    try:
-        return register(model, measured, max_iterations)
-    except (InputError, CalibrationError) as error:
-        raise type(error)(f"{error}{cause and '; likely cause: ' + cause}") from None
+    size = misfit(model, measured)
+    everything = np.ones(len(measured), dtype=bool)
+    causes = likely_causes(model, measured, size) if size > _MISFIT else None
+    if causes is not None and causes.wrong and reject_outliers:
+        return Screening(~np.isin(measured.pose, causes.wrong), str(causes), causes.misfit)
+    if np.isinf(size):
+        _check_closed(model, measured, causes)
+    if causes is None:
+        return Screening(everything, "", size)
+    leave_out = "; leave these poses out, or set identify.reject_outliers = true" if causes.wrong else ""
+    far = f"{np.sqrt(size):.3g} times farther from the drawing than [tolerance] and [sensor] explain"
+    raise InputError(
+        f"measurements: {far if np.isfinite(size) else 'no robot near the drawing can have made them'}; "
+        f"likely cause: {causes}{leave_out}"
+    )
 
 
-def likely_cause(model: ErrorModel, whole: Measurements, measured: Measurements, excess: float) -> str:
-    """The mistakes without which the residuals are much smaller, where several explain them alike; else nothing.
+def registered(model: ErrorModel, measured: Measurements, max_iterations: int) -> Estimate:
+    """`register` of what passes `screened` whole. Raises as both do."""
+    screened(model, measured, reject_outliers=False)
+    return register(model, measured, max_iterations)
 
-    whole: all poses; measured: as many of them as show a mistake of all rows.
+
+def explained(model: ErrorModel, measured: Measurements, error: CalibrationError) -> CalibrationError:
+    """A failed fit with its likely cause, where one is known; a parameter that moved far is then not to blame."""
+    causes = likely_causes(model, measured, misfit(model, measured))
+    if causes is None:
+        return error
+    reason = error.reason if isinstance(error, MovedFarError) else str(error)
+    error.args = (f"{reason}; likely cause: {causes}",)
+    return error
+
+
+def cause_of_misfit(model: ErrorModel, measured: Measurements, p: np.ndarray, size: float) -> str:
+    """The likely cause of parameters that moved by more than 4 tolerances, or of large residuals; empty: none is known.
+
+    p: the parameters that were identified; size: the misfit of the drawing.
     """
-    limit = max(min(excess / _BETTER, _EXCESS), _CLEAN)
-    some = measured[np.linspace(0, len(measured) - 1, min(len(measured), _SOME)).astype(int)]
-    rows = whole[:_LONGEST]
-    likely = [(mistake, measured) for mistake in _likeliest(TRANSFORMS, model, measured, some)]
-    likely += [(mistake, rows) for mistake in _likeliest(ROWS, model, rows, rows)]
-    tried = [(_excess(model, data, mistake.undone), mistake) for mistake, data in likely]
-    least = min((size for size, _ in tried), default=np.inf)
-    if least < limit:
-        return _named([mistake for size, mistake in tried if size < _ALIKE * max(least, _CLEAN)])
-    for channel in measured.channels:
-        others = tuple(c for c in measured.channels if c != channel)
-        if any(c.registers for c in named(others)) and _excess(model, measured, lambda m, c=others: m.only(c)) < limit:
-            return f"{channel} contradicts {' and '.join(others)}: without it the measurements agree with the drawing"
-    return ""
+    if np.max(np.abs(p / model.parameters.tolerance)) > FLAGGED:
+        causes = likely_causes(model, measured, size, _FLAGGED_BETTER)
+        return "" if causes is None else f"parameters moved far; likely cause: {causes}"
+    causes = causes_of_small(model, measured, size, _SMALL_BETTER) if size > _SMALL_MISFIT else None
+    return "" if causes is None else f"residuals are large; likely cause: {causes}"
 
 
-def _likeliest(kinds: Sequence[Kind], model: ErrorModel, data: Measurements, some: Measurements) -> list[Mistake]:
-    """The mistakes without which residuals at some poses are smallest, by a quick registration: worth a closer look."""
-    sizes: list[tuple[float, int, Mistake]] = []
-    tool = _tool_poses(model, some)
-    for mistake in (mistake for kind in kinds for mistake in _of_kind(kind, model, data)):
-        try:
-            data_there = mistake.undone(some)
-            same = tool if data_there.readings is some.readings else None
-            sizes.append((registered_quickly(model, data_there, same).size, len(sizes), mistake))
-        except (InputError, CalibrationError, np.linalg.LinAlgError, ValueError):
-            continue
-    sizes.sort(key=lambda entry: entry[:2])
-    return [mistake for size, _, mistake in sizes[:_CLOSER] if size < _WORSE * sizes[0][0]]
-
-
-def _tool_poses(model: ErrorModel, measured: Measurements) -> Motion | None:
-    try:
-        return tool_poses(model, measured.readings)
-    except InputError:
-        return None
-
-
-def _named(mistakes: Sequence[Mistake]) -> str:
-    """Their causes; several that a symmetry makes one are named once."""
-    counts = Counter(mistake.alike for mistake in mistakes if mistake.alike)
-    causes = (m.alike if m.alike and counts[m.alike] > 1 else m.cause for m in mistakes)
-    return ", or ".join(dict.fromkeys(causes))
-
-
-def _of_kind(kind: Kind, model: ErrorModel, measured: Measurements) -> list[Mistake]:
-    """Its mistakes; none where it can't look for them."""
-    try:
-        return list(kind(model, measured))
-    except (InputError, CalibrationError, np.linalg.LinAlgError):
-        return []
+def _check_closed(model: ErrorModel, measured: Measurements, causes: Causes | None) -> None:
+    """InputError where the loops of the robot as drawn can't be closed at some readings."""
+    closure = model.robot(np.zeros(len(model.parameters))).close(measured.readings)
+    n = int(np.sum(~closure.closed))
+    if n == 0:
+        return
+    row = int(np.argmin(closure.closed))
+    gap = closure.residual[row]
+    where = (
+        f"worst by {gap:.3g} m or rad at pose {measured.pose[row]}"
+        if gap > _CLOSED
+        else f"only on another branch than home's, or beyond joint limits, at pose {measured.pose[row]}"
+    )
+    tested = "a sign, a zero, a scale or a unit of one joint, swapped joints"
+    cause = (
+        f"likely cause: {causes}"
+        if causes is not None
+        else f"none of these explains it: {tested}. Correct the drawing or actuator.*.zero"
+    )
+    raise InputError(
+        f"measurements: the loops of the drawing can't be closed at {n} of {len(measured)} poses ({where}); {cause}"
+    )
 
 
 def _check_spread(model: ErrorModel, measured: Measurements) -> None:
@@ -152,17 +150,6 @@ def _turned(rotation: np.ndarray) -> float:
     return float(np.max(np.linalg.norm(log(rotation[0].T @ rotation), axis=1)))
 
 
-def _excess(model: ErrorModel, measured: Measurements, change: Callable | None = None) -> float:
-    """Mean square of registered residuals over the expectation of tolerances and noise; infinite where none exist."""
-    try:
-        measured = change(measured) if change else measured
-        registered = registration_of(model, measured, _FEW_STEPS)
-    except (InputError, CalibrationError, np.linalg.LinAlgError):
-        return np.inf
-    data = standardise(Linear(registered.at.triangle, measured.rows), model.parameters.tolerance[:-N_FRAMES])
-    return float(np.sum(registered.at.residual**2) / (measured.rows + np.sum(data.s**2)))
-
-
 def moved_far(parameters: Parameters, p: np.ndarray, std: np.ndarray) -> tuple[str, ...]:
     """What to say of parameters that moved by more than 4 tolerances; W and T, whose priors are flat, apart.
 
@@ -184,7 +171,8 @@ def moved_far(parameters: Parameters, p: np.ndarray, std: np.ndarray) -> tuple[s
             cause = _cause(parameters.names[j], parameters.units[j])
         findings.append(f"{size}: {cause}")
     if findings and moved.max() > REFUSED:
-        raise CalibrationError(f"identification is refused: {findings[0]}; allowed are {REFUSED:g} tolerances")
+        reason = f"identification is refused: {findings[0].partition(': ')[0]}; allowed are {REFUSED:g} tolerances"
+        raise MovedFarError(f"identification is refused: {findings[0]}; allowed are {REFUSED:g} tolerances", reason)
     return tuple(findings)
 
 

@@ -12,12 +12,11 @@ from kincal.identification.channels import CHANNELS
 from kincal.identification.channels.orientation import quaternions as quaternions
 from kincal.identification.column_names import matched, misspelt, unused, unused_note
 from kincal.identification.table_files import floats, load
-from kincal.urdf.actuators import Actuators
-from kincal.urdf.closed_chain import ClosedChain
-from kincal.urdf.description import Column, Measure, Tolerance, listed, nearest
+from kincal.urdf.description import Column, Measure, listed, nearest
 from kincal.urdf.errors import InputError, TableError
 
 UNITS = {"m": 1.0, "mm": 1e-3, "cm": 1e-2, "in": 0.0254, "rad": 1.0, "deg": np.pi / 180, "rev": 2 * np.pi, "1": 1.0}
+LENGTHS, ANGLES = ("m", "mm", "cm", "in"), ("rad", "deg", "rev")
 _GROUPS = tuple(group for c in CHANNELS for group in (c.columns, *c.other_columns))
 _LARGEST = 1e15  # a number beyond is no reading; below, whole numbers are exact and squares don't overflow
 _ALLOWED = "; ".join(", ".join(group) for group in _GROUPS)
@@ -116,12 +115,11 @@ def _sources(present: Iterable[str], joints: Sequence[str], measure: Measure) ->
 
 def _with_units(sources: Mapping[str, Column], units: Mapping[str, str]) -> dict[str, Column]:
     """Units of a row of units, where the column map names none; degrees and lengths of what is measured alone."""
-    lengths, angles = ("m", "mm", "cm", "in"), ("rad", "deg", "rev")
-    allowed = {name: lengths if c.column_unit == "m" else angles if c.column_unit == "rad" else () for c in CHANNELS
+    allowed = {name: LENGTHS if c.column_unit == "m" else ANGLES if c.column_unit == "rad" else () for c in CHANNELS
                for group in (c.columns, *c.other_columns) for name in group}  # fmt: skip
     return {
         name: column.model_copy(update={"unit": units[column.source]})
-        if column.unit == "1" and units.get(column.source) in allowed.get(name, lengths + angles)
+        if column.unit == "1" and units.get(column.source) in allowed.get(name, LENGTHS + ANGLES)
         else column
         for name, column in sources.items()
     }
@@ -195,26 +193,3 @@ def _refuse(bad: np.ndarray, file: Path | str, column: str, values: np.ndarray, 
         raise TableError(
             f"{file}: column {column!r}, row {row + 1}: found {values[row]:g}; allowed are {allowed}", column, row
         )
-
-
-def check_readings(
-    table: pd.DataFrame, chain: ClosedChain, actuators: Actuators, tolerance: Tolerance, file: Path | str
-) -> None:
-    """Refuse joint values beyond the URDF's limits (three tolerances of zero and gain are forgiven)."""
-    for k, name in enumerate(chain.actuated_names):
-        joint = chain.actuated[k]
-        zero = tolerance.actuator_zero_mm * 1e-3 if chain.prismatic[joint] else np.deg2rad(tolerance.actuator_zero_deg)
-        readings = table[name].to_numpy(float)
-        values = actuators.zero[k] + actuators.gain[k] * readings
-        slack = 3 * (zero + tolerance.actuator_gain * np.abs(actuators.gain[k] * readings))
-        low, high = chain.lower[joint] - slack, chain.upper[joint] + slack
-        bad = np.flatnonzero((values < low) | (values > high))
-        if len(bad):
-            row, unit = bad[0], "m" if chain.prismatic[joint] else "rad"
-            smaller = next((u for u in ("mm", "deg") if low[row] <= values[row] * UNITS[u] <= high[row]), None)
-            hint = f"; is it in {smaller}? (measure.columns gives a column's unit)" if smaller else ""
-            message = (
-                f"{file}: pose {table['pose'][row]}: joint {name!r} would be at {values[row]:.6g} {unit}; "
-                f"its limits are [{chain.lower[joint]:.6g}, {chain.upper[joint]:.6g}]{hint}"
-            )
-            raise TableError(message, name, int(row))

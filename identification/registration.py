@@ -24,6 +24,7 @@ MIN_POSES = 3
 _MOST = 2000  # poses a start is computed from
 _ALTERNATIONS = 50
 _ALONE = 3.0  # the smallest singular value stands alone when the next is this many times larger
+_NULL = 1e-12  # of the sum of squared rotations less their mean: below, an offset along it shows nothing
 _CUBE = Rotation.create_group("O").as_matrix()
 
 
@@ -167,14 +168,52 @@ def _alternate_tilt(up: np.ndarray, tool: np.ndarray) -> tuple[np.ndarray, np.nd
 
 def _alternate_positions(measured: np.ndarray, tool: Motion) -> list[tuple[np.ndarray, np.ndarray]]:
     """W's rotation from positions alone: the two best of 24 starts, translations and rotation in turn."""
-    alternatives = []
-    for w in _CUBE:
-        for _ in range(_ALTERNATIONS):
-            offset = _translations(w, tool, measured)[0]
-            points = tool.translation + tool.rotation @ offset
-            w = _procrustes(_centred(measured).T @ _centred(points))
-        alternatives.append((_translations(w, tool, measured)[2], w))
-    return [(w, np.eye(3)) for _, w in sorted(alternatives, key=lambda f: f[0])[:2]]
+    moments, w = _Moments.of(measured, tool), _CUBE
+    for _ in range(_ALTERNATIONS):
+        w = _procrustes(moments.correlation(moments.offset(w)))
+    costs = [_translations(one, tool, measured)[2] for one in w]
+    return [(w[k], np.eye(3)) for k in np.argsort(costs, kind="stable")[:2]]
+
+
+@dataclass(frozen=True)
+class _Moments:
+    """All that translations and rotation of the alternation need of the poses, summed once."""
+
+    turned: np.ndarray  # (3, 3) mean of the tool's rotations R
+    mixed: np.ndarray  # (3, 3, 3) [i, j, k]: sum of (R - mean)_ji y_k
+    moved: np.ndarray  # (3,) [i]: sum of (R - mean)_ji x_j
+    inverse: np.ndarray  # (3, 3) pseudo-inverse of sum of (R - mean)' (R - mean)
+    null: np.ndarray  # (3, k) offsets along which all R are the same
+    path: np.ndarray  # (3, 3) sum of the centred measured (row) and tool positions (column)
+    centre: tuple[np.ndarray, np.ndarray]  # (3,) means of measured and tool positions
+
+    @classmethod
+    def of(cls, measured: np.ndarray, tool: Motion) -> _Moments:
+        turned = tool.rotation.mean(axis=0)
+        apart = tool.rotation - turned
+        values, vectors = np.linalg.eigh(np.einsum("nji,njk->ik", apart, apart))
+        known = values > _NULL * len(measured)
+        return cls(
+            turned,
+            np.einsum("nji,nk->ijk", apart, measured),
+            np.einsum("nji,nj->i", apart, tool.translation),
+            (vectors[:, known] / values[known]) @ vectors[:, known].T,
+            vectors[:, ~known],
+            _centred(measured).T @ _centred(tool.translation),
+            (measured.mean(axis=0), tool.translation.mean(axis=0)),
+        )
+
+    def offset(self, w: np.ndarray) -> np.ndarray:
+        """(m, 3) T's translations of least squares, and of least norm together with W's, for rotations w (m, 3, 3)."""
+        offset = (np.einsum("ijk,mkj->mi", self.mixed, w) - self.moved) @ self.inverse
+        measured, tool = self.centre
+        shift = np.einsum("mkj,k->mj", w, measured) - tool - offset @ self.turned.T
+        # along a null direction v the sum stays the same with v in the offset and -R v in W's translation
+        return offset + 0.5 * (shift @ self.turned @ self.null) @ self.null.T
+
+    def correlation(self, offset: np.ndarray) -> np.ndarray:
+        """(m, 3, 3) of centred measured positions (row) and predicted ones (column)."""
+        return self.path + np.einsum("ijk,mi->mkj", self.mixed, offset)
 
 
 def _about_gravity(n: int) -> list[np.ndarray]:

@@ -16,7 +16,7 @@ from kincal.identification.measurements import Measurements
 from kincal.identification.robust_loss import blocks
 from kincal.identification.trend import drift_finding
 from kincal.urdf.description import Identify
-from kincal.urdf.errors import CalibrationError
+from kincal.urdf.errors import CalibrationError, MovedFarError
 
 _OUTLIER = 1e-5  # the probability that a good pose looks like one
 _SURPRISE = 1e-6  # of a chi-square: less likely is a finding
@@ -84,6 +84,23 @@ def summarise(
     )
 
 
+def left_out(model: ErrorModel, measured: Measurements, p: np.ndarray) -> tuple[Outlier, ...]:
+    """Poses that p was not fitted to, with their errors; of one whose loops do not close there is none to tell."""
+    robot = model.robot(p)
+    closure = robot.close(measured.readings)
+    actual, predicted = measured.as_poses(), robot.measured(closure.pose)
+    shown = {}
+    for channel in named(measured.channels):
+        unit, factor = channel.human
+        size = factor * np.linalg.norm(channel.error(actual, predicted), axis=1)
+        shown[channel.name] = [f"{channel.name} is off by {value:.3g} {unit}" for value in size]
+    reasons = [" and ".join(parts) for parts in zip(*shown.values(), strict=True)]
+    return tuple(
+        Outlier(int(pose), f"left out; {reason if closed else 'the loops do not close there'}")
+        for pose, reason, closed in zip(measured.pose, reasons, closure.closed, strict=True)
+    )
+
+
 def _verdict(
     model: ErrorModel, measured: Measurements, estimate: Estimate, chi_square: float, freedom: float
 ) -> tuple[str, ...]:
@@ -109,9 +126,11 @@ def _moved(model: ErrorModel, estimate: Estimate, std: np.ndarray, explained: tu
     """What to say of parameters that moved far. Raises CalibrationError for too far, with the likely cause if any."""
     try:
         return moved_far(model.parameters, estimate.p, std)
-    except CalibrationError as error:
+    except MovedFarError as error:
         causes = [finding for finding in explained if finding.startswith("likely cause")]
-        raise CalibrationError("; ".join([str(error), *causes])) from None
+        if causes:
+            raise CalibrationError("; ".join([error.reason, *causes])) from None
+        raise
 
 
 def _residuals(

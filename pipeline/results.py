@@ -125,6 +125,7 @@ class Identified:
     registered: np.ndarray  # (n_parameters,) W and T alone, from all measured poses
     held_out: Fit
     folds: tuple[Fit, ...]  # of real data; a virtual robot is scored on fresh poses instead
+    left_out: tuple[int, ...] = ()  # measured poses that do not fit the others; no fit has seen them
 
     def fits(self) -> tuple[Fit, ...]:
         """All fits, the shipped one first: it has seen every pose."""

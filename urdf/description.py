@@ -298,6 +298,7 @@ class Identify(_Table):
     # is chosen. Default: 1 for map, generalised cross-validation for the others
     shrinkage: NotNegative | Literal["gcv", "kfold"] | None = None
     max_iterations: Annotated[int, Field(ge=1, le=10_000)] = 1000
+    reject_outliers: bool = True  # leave out poses that do not fit the others, at most a third of them; they are named
 
     @model_validator(mode="after")
     def _scale(self) -> Identify:

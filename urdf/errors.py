@@ -87,3 +87,17 @@ class UnreachablePoseError(InputError):
 
 class NotConvergedError(CalibrationError):
     """An iteration that came to no end: the result would mean nothing."""
+
+
+class MovedFarError(CalibrationError):
+    """A parameter moved farther from the drawing than its tolerance allows.
+
+    Attributes
+    ----------
+    reason
+        Which, and how far, without advice.
+    """
+
+    def __init__(self, message: str, reason: str) -> None:
+        super().__init__(message)
+        self.reason = reason

@@ -104,6 +104,10 @@ class Channel(ABC):
         """How far poses (n) are from the values, to choose a start for W and T by; None: it does not count."""
         return None
 
+    def moved(self, values: np.ndarray, before: Motion, after: Motion) -> np.ndarray:
+        """Values at poses (n) near `before`, as they would be at poses `after`, a small move away."""
+        return values + self.of(after) - self.of(before)
+
     def mistakes(self) -> Iterator[Mistake]:
         """The usual ones; that an angle is in degrees is tried of all."""
         return iter(())

@@ -64,6 +64,9 @@ class _Orientation(Channel):
     def start_error(self, pose: Motion, values: np.ndarray) -> np.ndarray:
         return (pose.rotation - values) / np.sqrt(2)
 
+    def moved(self, values: np.ndarray, before: Motion, after: Motion) -> np.ndarray:
+        return values @ before.rotation.swapaxes(1, 2) @ after.rotation
+
     def mistakes(self) -> Iterator[Mistake]:
         for order, how in (([1, 2, 3, 0], "w, x, y, z"), ([3, 2, 1, 0], "w, z, y, x")):
             yield f"the columns qx, qy, qz, qw hold {how}", lambda r, order=order: _reordered(r, order)

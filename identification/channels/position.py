@@ -33,9 +33,10 @@ class _Position(Channel):
         return pose.translation - values
 
     def mistakes(self) -> Iterator[Mistake]:
-        unit = "(measure.columns gives a column's unit)"
-        yield f"x, y, z are in millimetres, not metres {unit}", lambda values: values * 1e-3
-        yield f"x, y, z are a thousand times too small {unit}", lambda values: values * 1e3
+        how = "(measure.columns gives a column's unit)"
+        for unit, metres in (("millimetres", 1e-3), ("centimetres", 1e-2), ("inches", 0.0254)):
+            yield f"x, y, z are in {unit}, not metres {how}", lambda values, metres=metres: values * metres
+        yield f"x, y, z are a thousand times too small {how}", lambda values: values * 1e3
 
     def change(self, by: np.ndarray, rotation: np.ndarray) -> np.ndarray:
         return by[:, 3:]

@@ -11,8 +11,11 @@ from kincal.identification.error_model import ErrorModel
 from kincal.identification.measurements import Measurements
 from kincal.identification.mistakes.mistake import Mistake
 from kincal.identification.mistakes.refit import refitted
+from kincal.identification.mistakes.registered import registered
+from kincal.urdf.errors import InputError
 
 _SMALL = 1e-5  # of a difference [m, rad, 1]
+_FACTORS = (1.0, 0.5, 2.0, 1 / 3, 3.0, 0.25, 4.0, 0.2, 5.0, 0.1, 10.0)
 _LENGTHS = {"millimetres": 1e-3, "centimetres": 1e-2, "inches": 0.0254}
 _ANGLES = {"degrees": np.pi / 180, "revolutions": 2 * np.pi}
 
@@ -21,7 +24,7 @@ def joint_signs(model: ErrorModel, measured: Measurements) -> Iterator[Mistake]:
     """One joint that counts the other way round, from any zero."""
     for j, name in enumerate(model.chain.actuated_names):
         cause = f"{name} counts the other way round (the sign of actuator.{name}.gain)"
-        yield Mistake(cause, lambda m, j=j: _shifted(model, _reversed(m, j), j))
+        yield Mistake(cause, lambda m, j=j: _reversed(model, m, j))
 
 
 def joint_zeros(model: ErrorModel, measured: Measurements) -> Iterator[Mistake]:
@@ -45,18 +48,54 @@ def joint_units(model: ErrorModel, measured: Measurements) -> Iterator[Mistake]:
                 yield Mistake(cause, lambda m, g=tuple(group), f=factor: _scaled(m, g, f))
 
 
+def joint_gains(model: ErrorModel, measured: Measurements) -> Iterator[Mistake]:
+    """One joint whose readings are longer or shorter by some factor: a gear, a lead, microsteps."""
+    for j, name in enumerate(model.chain.actuated_names):
+        factor = _best_factor(model, measured, j)
+        if factor is not None:
+            cause = f"{name} has another scale (actuator.{name}.gain)"
+            yield Mistake(cause, lambda m, j=j, f=factor: _regained(model, m, (j,), f))
+
+
 def common_scale(model: ErrorModel, measured: Measurements) -> Iterator[Mistake]:
     """All actuators with one wrong scale: a belt, a screw's lead, steps for a millimetre."""
     everything = tuple(range(len(model.chain.actuated_names)))
-    cause = "all actuators have one wrong scale (actuator.*.gain)"
-    yield Mistake(cause, lambda m: refitted(model, m, lambda x: _scaled(m, everything, 1 + x), _SMALL))
+    gains = ", ".join(f"actuator.{name}.gain" for name in model.chain.actuated_names)
+    yield Mistake(f"all actuators have one wrong scale ({gains})", lambda m: _regained(model, m, everything, 1.0))
 
 
-def _reversed(m: Measurements, joint: int) -> Measurements:
-    """About the middle of its readings; where the zero is, `_shifted` finds."""
-    readings = m.readings.copy()
-    readings[:, joint] = readings[:, joint].min() + readings[:, joint].max() - readings[:, joint]
-    return replace(m, readings=readings)
+def _best_factor(model: ErrorModel, measured: Measurements, joint: int) -> float | None:
+    """By which the joint's readings fit best, to begin with; None: by none the loops close."""
+    sizes: dict[float, float] = {}
+    for factor in _FACTORS:
+        try:
+            sizes[factor] = registered(model, _scaled(measured, (joint,), factor)).size
+        except (InputError, np.linalg.LinAlgError):
+            continue
+    return min(sizes, key=lambda factor: sizes[factor]) if sizes else None
+
+
+def _regained(model: ErrorModel, m: Measurements, joints: tuple[int, ...], factor: float) -> Measurements:
+    return refitted(model, m, lambda x: _scaled(m, joints, factor * (1 + x)), _SMALL)
+
+
+def _reversed(model: ErrorModel, m: Measurements, joint: int) -> Measurements:
+    """About zero, or about the middle of its readings, or about whatever zero fits best from there."""
+    values = m.readings[:, joint]
+    tried: list[tuple[float, int, Measurements]] = []
+    for about in (0.0, values.min() + values.max()):
+        readings = m.readings.copy()
+        readings[:, joint] = about - values
+        turned = replace(m, readings=readings)
+        for undone in (lambda m: m, lambda m: _shifted(model, m, joint)):
+            try:
+                one = undone(turned)
+                tried.append((registered(model, one).size, len(tried), one))
+            except (InputError, np.linalg.LinAlgError):
+                continue
+    if not tried:
+        raise InputError("the loops can't be closed with the joint the other way round")
+    return min(tried, key=lambda entry: entry[:2])[2]
 
 
 def _shifted(model: ErrorModel, m: Measurements, joint: int) -> Measurements:

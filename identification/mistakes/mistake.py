@@ -19,6 +19,9 @@ class Mistake:
     cause: str
     undone: Callable[[Measurements], Measurements]
     alike: str = ""  # words for several of its kind, where a symmetry makes them one
+    wrong: tuple[int, ...] = ()  # the poses that it says are wrong; empty: all are, or none
+    rows: int = 0  # how many poses it leaves out
+    general: int = 0  # of those that explain as much, the least general say most
 
 
 Kind = Callable[[ErrorModel, Measurements], Iterator[Mistake]]  # all of one kind that these measurements may have
@@ -27,3 +30,10 @@ Kind = Callable[[ErrorModel, Measurements], Iterator[Mistake]]  # all of one kin
 def of_values(cause: str, channel: Channel, change: Callable[[np.ndarray], np.ndarray]) -> Mistake:
     """A mistake in the values of one channel."""
     return Mistake(cause, lambda m: m.replaced(**{channel.name: change(m.values[channel.name])}))
+
+
+def of_rows(cause: str, measured: Measurements, wrong: np.ndarray, general: int = 0) -> Mistake:
+    """A mistake in some rows alone, `wrong` (n,) bool."""
+    poses = measured.pose[wrong]
+    numbers = tuple(int(n) for n in poses)
+    return Mistake(cause, lambda m: m[~np.isin(m.pose, poses)], wrong=numbers, rows=len(numbers), general=general)

@@ -6,43 +6,67 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from kincal.identification.channels import named
 from kincal.identification.error_model import ErrorModel
 from kincal.identification.measurements import Measurements
+from kincal.identification.mistakes.linear import LinearRobot
 from kincal.identification.mistakes.mistake import Mistake
-from kincal.identification.mistakes.registered import frame_columns, registered, tool_poses
+from kincal.identification.mistakes.registered import frame_columns
 from kincal.urdf.rigid_motion import Motion
 
 _FEWEST = 6  # poses before and after
+_TIMES = 3  # linearisations
+_MOVES = (("instrument", slice(0, 6)), ("target", slice(6, 12)))  # W's columns, and T's
 
 
-def moved_instrument(model: ErrorModel, measured: Measurements) -> Iterator[Mistake]:
-    """The instrument stands elsewhere from some row on; only where all of the pose is measured."""
-    if len(measured) < 2 * _FEWEST or not {"orientation", "position"} <= set(measured.values):
+def moved_part(model: ErrorModel, measured: Measurements) -> Iterator[Mistake]:
+    """The instrument, or the target, sits elsewhere from some row on: the row, and the move, that explain most."""
+    if len(measured) < 2 * _FEWEST:
         return
-    first = _first_row(model, measured)
-    if first is not None:
-        cause = f"the instrument moved between poses {measured.pose[first - 1]} and {measured.pose[first]}"
-        yield Mistake(cause, lambda m: _moved_back(model, m, first))
+    robot = LinearRobot.of(model, measured)
+    for part, columns in _MOVES:
+        first, _ = _step(robot, measured, columns, None)
+        cause = f"the {part} moved between poses {measured.pose[first - 1]} and {measured.pose[first]}"
+        yield Mistake(cause, lambda m, first=first, columns=columns: _moved_back(model, m, columns, first))
 
 
-def _first_row(model: ErrorModel, measured: Measurements) -> int | None:
-    """The first row of the second part: where a step of W takes most of the residuals away, to first order."""
-    found = registered(model, measured)
-    frames, residual, best = frame_columns(found, measured), found.residual, (0.0, None)
-    for k in range(_FEWEST, len(measured) - _FEWEST + 1):
-        later = np.zeros(len(measured))
-        later[k:] = 1.0
-        columns = np.concatenate([frames, frames[:, :, :6] * later[:, None, None]], axis=2).reshape(-1, 18)
-        left = residual.ravel() - columns @ np.linalg.lstsq(columns, residual.ravel(), rcond=1e-9)[0]
-        best = max(best, (float(np.sum(residual**2) - np.sum(left**2)), k), key=lambda pair: pair[0])
-    return best[1]
+def _step(robot: LinearRobot, measured: Measurements, part: slice, first: int | None) -> tuple[int, np.ndarray]:
+    """The first row of the second part, and the small move (6,) there; first: known already."""
+    factor, change = robot.solved(np.ones(len(measured)))
+    left = robot.residual + robot.jacobian @ change
+    columns = frame_columns(robot.at, measured)[:, :, part]
+    # sums over the rows from the end: what a move from row k on would see
+    square, mixed, slope = (
+        np.cumsum(each[::-1], axis=0)[::-1]
+        for each in (
+            np.einsum("nri,nrj->nij", columns, columns),
+            np.einsum("nri,nrj->nij", columns, robot.jacobian),
+            np.einsum("nri,nr->ni", columns, left),
+        )
+    )
+    best, chosen = (-1.0, 0), np.zeros(6)
+    for k in range(_FEWEST, len(measured) - _FEWEST + 1) if first is None else (first,):
+        half = np.linalg.solve(factor, mixed[k].T)  # the parameters move along: Schur complement
+        information = square[k] - half.T @ half
+        step = -np.linalg.lstsq(information, slope[k], rcond=1e-9)[0]
+        fall = float(-slope[k] @ step)
+        if fall > best[0]:
+            best, chosen = (fall, k), step
+    return best[1], chosen
 
 
-def _moved_back(model: ErrorModel, m: Measurements, first: int) -> Measurements:
-    tool, rows = tool_poses(model, m.readings), np.arange(len(m))
-    before, after = (registered(model, m[part], tool[part]).robot for part in (rows[:first], rows[first:]))
-    back = before.measured(tool)[first] @ after.measured(tool)[first].inverse()
-    moved = back @ Motion(m.values["orientation"][first:], m.values["position"][first:])
-    rotation, position = m.values["orientation"].copy(), m.values["position"].copy()
-    rotation[first:], position[first:] = moved.rotation, moved.translation
-    return m.replaced(orientation=rotation, position=position)
+def _moved_back(model: ErrorModel, m: Measurements, part: slice, first: int) -> Measurements:
+    """Raises InputError."""
+    later = np.arange(first, len(m))
+    for _ in range(_TIMES):
+        robot = LinearRobot.of(model, m)
+        _, step = _step(robot, m, part, first)
+        move = Motion.from_vector(step)
+        pose = robot.at.robot.measured(robot.at.tool)[later]
+        after = move @ pose if part.start == 0 else pose @ move
+        values = {}
+        for channel in named(m.channels):
+            back = channel.moved(m.values[channel.name][later], after, pose)
+            values[channel.name] = np.concatenate([m.values[channel.name][:first], back])
+        m = m.replaced(**values)
+    return m

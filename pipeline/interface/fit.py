@@ -164,22 +164,23 @@ def identify(robot: RobotLike, data: Data | None = None, *, progress: StageObser
         run = InMemory(description, {"model": model, "measure": measured_table(robot, model, data)}, observe)
     poses = Poses.measured_on(model, run.result("filter"), description)
     with fixed_threads(("scipy",)):
-        identification, _ = as_built(poses, description.identify)
+        identification = as_built(poses, description.identify).identification
     return Fit(robot, identification)
 
 
 def measured_table(robot: Robot, model: Model, data: Data) -> Measured:
     """A table that was brought, as the measure stage hands it on. Raises InputError."""
-    from kincal.identification.measurement_table import canonical_table, check_readings, table_notes
+    from kincal.identification.measurement_table import canonical_table, table_notes
     from kincal.pipeline.results import Measured
+    from kincal.pipeline.stages.campaign import check_measured
     from kincal.pipeline.stages.robot_data import DrawnRobot
 
     description = robot.description
     raw, source = raw_table(data, description.measure, "data", description.actuated)
-    errors = DrawnRobot.of(model, description).errors
-    table = canonical_table(raw, errors.chain.actuated_names, description.measure, source)
-    check_readings(table, errors.chain, errors.actuators, description.tolerance, source)
-    notes = table_notes(raw, errors.chain.actuated_names, description.measure, source)
+    drawn = DrawnRobot.of(model, description)
+    table = canonical_table(raw, drawn.errors.chain.actuated_names, description.measure, source)
+    check_measured(drawn, table, description.sensor, source)
+    notes = table_notes(raw, drawn.errors.chain.actuated_names, description.measure, source)
     for note in notes:
         logger.warning("%s", note)
     name = source.name if isinstance(source, Path) else source

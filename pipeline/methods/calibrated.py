@@ -13,7 +13,8 @@ import pandas as pd
 
 from kincal.identification.error_model import ErrorModel
 from kincal.identification.identification import Identification
-from kincal.identification.measurement_table import canonical_table, check_readings
+from kincal.identification.joint_limits import check_readings
+from kincal.identification.measurement_table import canonical_table
 from kincal.identification.measurements import Measurements, to_measurements
 from kincal.pipeline.learned import Corrected, Hybrids, Learned, Transferred
 from kincal.pipeline.methods.covariance import pose_covariance

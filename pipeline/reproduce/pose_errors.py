@@ -40,7 +40,7 @@ def pose_errors(poses: Poses, fits: Fits, plan: PosePlan, measured: Measured, ev
     from kincal.pipeline.methods.predictors import uncalibrated
     from kincal.pipeline.stages.fresh_poses import fresh_poses
 
-    errors, measurements = poses.errors, poses.measurements
+    errors, measurements = poses.errors, poses.fitted(fits.identified)
     calibrated = calibrations(errors, fits.identified, fits.transferred, fits.hybrids)
     shipped, held_out = ({RAW: uncalibrated(errors), **c.methods} for c in calibrated[:2])
     tested = fits.identified.held_out.test

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING
 
 from kincal.pipeline.results import Filtered, Measured, Model, PosePlan
 from kincal.pipeline.stages.robot_data import DrawnRobot
-from kincal.urdf.description import Actuator, Filter, Instruments, Measure, Plan, Sensor, Tolerance
+from kincal.urdf.description import Actuator, Filter, Instruments, Measure, Plan, Sensor
+from kincal.urdf.errors import TableError
 
 if TYPE_CHECKING:
-    from kincal.identification.error_model import ErrorModel
-    from kincal.urdf.closed_chain import ClosedChain
+    from pathlib import Path
+
+    import pandas as pd
 
 
 def plan_stage(
@@ -53,7 +56,7 @@ def measure_stage(robot: DrawnRobot, plan: PosePlan, measure: Measure, sensor: S
     nominal = robot.errors
     chain = nominal.chain
     if not measure.virtual:
-        return _from_files(chain, nominal, measure, robot.tolerance)
+        return _from_files(robot, measure, sensor)
     seed = seed if measure.seed is None else measure.seed
     truth = draw(nominal, measure.errors, seed)
     readings = plan.table[list(chain.actuated_names)].to_numpy()
@@ -86,13 +89,15 @@ def filter_stage(measured: Measured, filter: Filter, sensor: Sensor) -> Filtered
     return Filtered(table, used, gated, attitudes.dropped, attitudes.innovations, attitudes.yaw_stuck)
 
 
-def _from_files(chain: ClosedChain, nominal: ErrorModel, measure: Measure, tolerance: Tolerance) -> Measured:
+def _from_files(robot: DrawnRobot, measure: Measure, sensor: Sensor) -> Measured:
     """Static poses as a table; joint values and a stream that names poses; or a log and the commands of its time."""
-    from kincal.identification.measurement_table import check_readings, noted_table
+    from kincal.identification.joint_limits import check_readings
+    from kincal.identification.measurement_table import noted_table
     from kincal.identification.streams.campaign import Campaign
     from kincal.identification.streams.reading import read_stream
     from kincal.identification.streams.static_poses import static_poses
 
+    nominal, tolerance, chain = robot.errors, robot.tolerance, robot.errors.chain
     if measure.commands is not None:
         poses = static_poses(measure, chain.actuated_names)
         check_readings(poses.table, chain, nominal.actuators, tolerance, measure.commands)
@@ -100,8 +105,26 @@ def _from_files(chain: ClosedChain, nominal: ErrorModel, measure: Measure, toler
     assert measure.table is not None
     settings = measure if measure.streams is None else measure.of_columns(("pose", *chain.actuated_names))
     table, notes = noted_table(measure.table, chain.actuated_names, settings, measured=measure.streams is None)
-    check_readings(table, chain, nominal.actuators, tolerance, measure.table)
     if measure.streams is None:
+        check_measured(robot, table, sensor, measure.table)
         return Measured(measure.table.name, table, None, None, notes=notes)
+    check_readings(table, chain, nominal.actuators, tolerance, measure.table)
     stream, health = read_stream(measure.streams, measure)
     return Measured(health.file, table, stream, None, Campaign(health, None, len(table), len(table), ()))
+
+
+def check_measured(robot: DrawnRobot, table: pd.DataFrame, sensor: Sensor, file: Path | str) -> None:
+    """Refuse joint values beyond the limits, with the likely cause. Raises InputError.
+
+    table: canonical, with what was measured.
+    """
+    from kincal.identification.joint_limits import beyond_limits
+    from kincal.identification.likely_causes import likely_causes
+    from kincal.identification.measurements import to_measurements
+
+    model = robot.errors
+    error = beyond_limits(table, model.chain, model.actuators, robot.tolerance, file)
+    if error is None:
+        return
+    causes = likely_causes(model, to_measurements(table, model.chain.actuated_names, sensor), math.inf)
+    raise error if causes is None else TableError(f"{error}; likely cause: {causes}", error.column, error.row)

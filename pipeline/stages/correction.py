@@ -36,7 +36,7 @@ def correct_stage(poses: Poses, identified: Identified, siblings: SiblingResidua
     from kincal.pipeline.methods.residual_network import corrected
 
     estimated, inherited, seed = identified.shipped.sensor_estimated, siblings.inherited, poses.seed
-    errors, measured = poses.errors, poses.measurements.scaled(estimated)
+    errors, measured = poses.errors, poses.fitted(identified).scaled(estimated)
     made, fits = [], identified.fits()
     for fit in fits:
         made.append(corrected(errors, measured, fit, inherited, correct, seed, not estimated))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from kincal.pipeline.results import Fit, Identified, Measured
@@ -20,34 +21,55 @@ def identify_stage(poses: Poses, measured: Measured, identify: Identify) -> Iden
     """All geometric parameters from the measured poses; and from parts of them, to be scored on the rest."""
     from kincal.identification.poses import folds, held_out
 
-    errors, measurements, split, seed = poses.errors, poses.measurements, poses.split, poses.seed
+    built = as_built(poses, identify)
+    errors, split, seed = poses.errors, poses.split, poses.seed
+    measurements = built.measurements.scaled(built.identification.sensor_estimated)
     parts = () if measured.truth is not None else folds(len(measurements), split, seed)
     test = held_out(len(measurements), split, seed)
-    shipped, registered = as_built(poses, identify)
-    measurements = measurements.scaled(shipped.sensor_estimated)
     return Identified(
-        shipped=shipped,
-        registered=registered,
+        shipped=built.identification,
+        registered=built.registered,
         held_out=_fit(errors, measurements, test, identify),
         folds=tuple(_fit(errors, measurements, part, identify) for part in parts),
+        left_out=tuple(int(n) for n in poses.measurements.pose if n not in set(measurements.pose.tolist())),
     )
 
 
-def as_built(poses: Poses, settings: Identify) -> tuple[Identification, np.ndarray]:
-    """The robot from all of these poses; and (n_parameters,) W and T alone."""
+@dataclass(frozen=True)
+class AsBuilt:
+    """The robot, and the poses that it was identified from."""
+
+    identification: Identification
+    registered: np.ndarray  # (n_parameters,) W and T alone
+    measurements: Measurements  # without those that do not fit the others
+
+
+def as_built(poses: Poses, settings: Identify) -> AsBuilt:
+    """The robot from all of these poses that fit the others. Raises InputError and CalibrationError."""
     from dataclasses import replace
 
     from kincal.identification.coverage import coverage_finding
-    from kincal.identification.diagnosis import registered as register
-    from kincal.identification.estimators import estimate_parameters
-    from kincal.identification.summary import summarise
+    from kincal.identification.diagnosis import cause_of_misfit, explained, screened
+    from kincal.identification.estimators import estimate_parameters, register
+    from kincal.identification.summary import left_out, summarise
+    from kincal.urdf.errors import CalibrationError
 
-    errors, measurements = poses.errors, poses.measurements
-    registered = register(errors, measurements, settings.max_iterations)
-    whole = estimate_parameters(errors, measurements, settings, registered)
-    made = summarise(errors, measurements, whole, registered, settings)
+    errors = poses.errors
+    screening = screened(errors, poses.measurements, settings.reject_outliers)
+    measurements = poses.measurements[screening.kept] if screening.finding else poses.measurements
+    try:
+        registered = register(errors, measurements, settings.max_iterations)
+        whole = estimate_parameters(errors, measurements, settings, registered)
+        made = summarise(errors, measurements, whole, registered, settings)
+    except CalibrationError as error:
+        raise explained(errors, measurements, error) from None
     uncovered = coverage_finding(errors, poses.model.mechanism.workspace, measurements, whole, poses.seed)
-    return replace(made, findings=(*made.findings, *([uncovered] if uncovered else []))), registered.p
+    cause = cause_of_misfit(errors, measurements, whole.p, screening.misfit)
+    findings = [text for text in (screening.finding, *made.findings, cause, uncovered) if text]
+    outliers = made.outliers
+    if screening.finding:
+        outliers = (*left_out(errors, poses.measurements[~screening.kept], whole.p), *outliers)
+    return AsBuilt(replace(made, findings=tuple(findings), outliers=outliers), registered.p, measurements)
 
 
 def _fit(errors: ErrorModel, poses: Measurements, test: np.ndarray, settings: Identify) -> Fit:

@@ -37,5 +37,5 @@ def transfer_stage(
     from kincal.pipeline.methods.networks import learned
 
     return Transferred(
-        learned(poses.errors, poses.measurements, identified, task, pretrained, pretrain, transfer, poses.seed)
+        learned(poses.errors, poses.fitted(identified), identified, task, pretrained, pretrain, transfer, poses.seed)
     )

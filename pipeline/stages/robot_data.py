@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING
 
-from kincal.pipeline.results import Bundle, Filtered, Model
+from kincal.pipeline.results import Bundle, Filtered, Identified, Model
 from kincal.urdf.description import Actuator, RobotDescription, Sensor, Split, Tolerance
 
 if TYPE_CHECKING:
@@ -68,3 +68,10 @@ class Poses(DrawnRobot):
         poses = to_measurements(self.filtered.table, self.errors.chain.actuated_names, self.sensor)
         few = self.split.poses
         return poses if few is None else poses[chosen(len(poses), few, self.seed)]
+
+    def fitted(self, identified: Identified) -> Measurements:
+        """Those that the robot was identified from."""
+        import numpy as np
+
+        kept = ~np.isin(self.measurements.pose, identified.left_out)
+        return self.measurements if kept.all() else self.measurements[kept]

@@ -59,7 +59,7 @@ def evaluate_stage(
     from kincal.pipeline.methods.scores import cross_validated, scores
     from kincal.pipeline.stages.fresh_poses import fresh_poses
 
-    errors, measurements = poses.errors, poses.measurements
+    errors, measurements = poses.errors, poses.fitted(fits.identified)
     channels = measurements.channels
     shipped, held_out, *folds = calibrations(errors, fits.identified, fits.transferred, fits.hybrids)
     test = measurements[held_out.fit.test]

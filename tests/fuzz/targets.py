@@ -154,7 +154,8 @@ def _texts(texts: Sequence[str]) -> list[Files]:
 
 def _measured(folder: Path, measured: bool, joints: Sequence[str]) -> None:
     """As `measure`, `evaluate`, `predict` (joint values alone) and `compensate` (poses alone) read a table."""
-    from kincal.identification.measurement_table import check_readings, read_table
+    from kincal.identification.joint_limits import check_readings
+    from kincal.identification.measurement_table import read_table
     from kincal.identification.measurements import to_measurements
     from kincal.urdf.description import Measure, Sensor, Tolerance
 

@@ -12,7 +12,8 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from scipy.spatial.transform import Rotation
 
-from kincal.identification.measurement_table import check_readings, read_table
+from kincal.identification.joint_limits import check_readings
+from kincal.identification.measurement_table import read_table
 from kincal.identification.measurements import quaternions, to_measurements, to_table
 from kincal.urdf.description import Measure, Sensor
 from kincal.urdf.errors import InputError
