@@ -11,16 +11,17 @@ import pandas as pd
 from kincal.identification.channels import CHANNELS
 from kincal.identification.channels.orientation import quaternions as quaternions
 from kincal.identification.column_names import matched, misspelt, unused, unused_note
+from kincal.identification.orientations import as_quaternion, check_notation, shadowed
 from kincal.identification.table_files import floats, load
 from kincal.urdf.actuators import Actuators
 from kincal.urdf.closed_chain import ClosedChain
-from kincal.urdf.description import Column, Measure, Tolerance, listed, nearest
+from kincal.urdf.description import EULER_ANGLES, Column, Measure, Tolerance, listed, nearest
 from kincal.urdf.errors import InputError, TableError
 
 UNITS = {"m": 1.0, "mm": 1e-3, "cm": 1e-2, "in": 0.0254, "rad": 1.0, "deg": np.pi / 180, "rev": 2 * np.pi, "1": 1.0}
-_GROUPS = tuple(group for c in CHANNELS for group in (c.columns, *c.other_columns))
+_GROUPS = (*(group for c in CHANNELS for group in (c.columns, *c.other_columns)), EULER_ANGLES)
 _LARGEST = 1e15  # a number beyond is no reading; below, whole numbers are exact and squares don't overflow
-_ALLOWED = "; ".join(", ".join(group) for group in _GROUPS)
+_ALLOWED = "; ".join(", ".join(group) for group in _GROUPS) + " (with measure.euler)"
 
 
 def read_table(file: Path, joints: Sequence[str], measure: Measure, measured: bool = True) -> pd.DataFrame:
@@ -32,8 +33,19 @@ def noted_table(
     file: Path, joints: Sequence[str], measure: Measure, measured: bool = True
 ) -> tuple[pd.DataFrame, tuple[str, ...]]:
     """A file as the canonical table, and notes on what was not used."""
-    raw = load(file, measure, _known(joints))
+    raw = load(file, measure, _known(joints, measure))
+    if measured:
+        return measured_poses(raw, joints, measure, file)
     return canonical_table(raw, joints, measure, file, measured), table_notes(raw, joints, measure, file)
+
+
+def measured_poses(
+    raw: pd.DataFrame, joints: Sequence[str], measure: Measure, file: Path | str
+) -> tuple[pd.DataFrame, tuple[str, ...]]:
+    """The table that [measure] describes as the canonical one, and notes on it. Raises InputError."""
+    table = canonical_table(raw, joints, measure, file)
+    check_notation(table.columns, raw.columns, measure, file)
+    return table, table_notes(raw, joints, measure, file)
 
 
 def canonical_table(
@@ -47,7 +59,7 @@ def canonical_table(
     """
     if not len(raw):
         raise TableError(f"{file}: the table is empty; at least one row is needed")
-    known = _known(joints)
+    known = _known(joints, measure)
     for name in measure.columns:
         if name not in known:
             raise InputError(
@@ -70,7 +82,8 @@ def canonical_table(
     if measured:
         _check_spelling(raw.columns, sources, known, file)
     _check_groups(columns, file, measured)
-    _check_rows(columns, file)
+    columns = as_quaternion(columns, measure, file, rows)
+    _check_rows(columns, file, rows)
     for channel in CHANNELS:
         columns = channel.canonical(columns)
     return pd.DataFrame(columns)
@@ -96,29 +109,34 @@ def table_notes(raw: pd.DataFrame, joints: Sequence[str], measure: Measure, file
     return (*notes, *([f"{file}: {unused_note(others)}"] if others else []))
 
 
-def _known(joints: Sequence[str]) -> list[str]:
-    return ["pose", *joints, *(c for group in _GROUPS for c in group), *(f"{c.name}_std" for c in CHANNELS)]
+def _known(joints: Sequence[str], measure: Measure) -> list[str]:
+    measured = [name for group in (_GROUPS if measure.euler else _GROUPS[:-1]) for name in group]
+    return ["pose", *joints, *measured, *(f"{c.name}_std" for c in CHANNELS)]
 
 
 def _sources(present: Iterable[str], joints: Sequence[str], measure: Measure) -> dict[str, Column]:
     """{canonical name: the column that has it, and its unit}."""
     names, sources = [str(name) for name in present], {}
-    plain = matched(names, _known(joints))
+    known = _known(joints, measure)
+    plain = matched(names, known)
     mapped = matched(names, [column.source for column in measure.columns.values()])
-    for name in _known(joints):
+    for name in known:
         column = measure.columns.get(name)
         if column is not None and column.source in mapped:
             sources[name] = column.model_copy(update={"source": mapped[column.source]})
         elif name in plain:  # a canonical table needs no map
             sources[name] = Column.model_validate({"from": plain[name]})
-    return sources
+    hidden = shadowed(sources, measure)
+    return {name: column for name, column in sources.items() if name not in hidden}
 
 
 def _with_units(sources: Mapping[str, Column], units: Mapping[str, str]) -> dict[str, Column]:
     """Units of a row of units, where the column map names none; degrees and lengths of what is measured alone."""
     lengths, angles = ("m", "mm", "cm", "in"), ("rad", "deg", "rev")
-    allowed = {name: lengths if c.column_unit == "m" else angles if c.column_unit == "rad" else () for c in CHANNELS
-               for group in (c.columns, *c.other_columns) for name in group}  # fmt: skip
+    of_kind = {"m": lengths, "rad": angles, "1": ()}
+    allowed = {name: of_kind[c.column_unit] for c in CHANNELS for name in c.columns}
+    allowed |= {name: of_kind[c.unit] for c in CHANNELS for group in c.other_columns for name in group}
+    allowed |= dict.fromkeys(EULER_ANGLES, angles)
     return {
         name: column.model_copy(update={"unit": units[column.source]})
         if column.unit == "1" and units.get(column.source) in allowed.get(name, lengths + angles)
@@ -171,29 +189,32 @@ def _check_groups(columns: Mapping[str, np.ndarray], file: Path | str, measured:
         raise TableError(f"{file}: nothing was measured; allowed are {_ALLOWED}")
 
 
-def _check_rows(columns: dict[str, np.ndarray], file: Path | str) -> None:
+def _check_rows(columns: dict[str, np.ndarray], file: Path | str, rows: np.ndarray) -> None:
+    """rows: (n,) their numbers in the file, from 0."""
     pose = columns["pose"]
-    _refuse(pose != np.round(pose), file, "pose", pose, "whole numbers")
+    _refuse(pose != np.round(pose), file, "pose", pose, "whole numbers", rows)
     columns["pose"] = pose = pose.astype(np.int64)
     first = np.unique(pose, return_index=True)[1]
     repeated = np.setdiff1d(np.arange(len(pose)), first)
     if len(repeated):
-        row = repeated[0]
-        raise TableError(f"{file}: pose {pose[row]} appears twice (row {row + 1}); allowed is once", "pose", int(row))
+        at, row = repeated[0], int(rows[repeated[0]])
+        raise TableError(f"{file}: pose {pose[at]} appears twice (row {row + 1}); allowed is once", "pose", row)
     for name, values in columns.items():
         if name.endswith("_std"):
-            _refuse(~(values > 0), file, name, values, "numbers greater than 0")
+            _refuse(~(values > 0), file, name, values, "numbers greater than 0", rows)
     for channel in CHANNELS:
         wrong = channel.wrong_row(columns) if channel.columns[0] in columns else None
         if wrong is not None:
-            raise TableError(f"{file}: row {wrong[0] + 1}: {wrong[1]}", row=wrong[0])
+            row = int(rows[wrong[0]])
+            raise TableError(f"{file}: row {row + 1}: {wrong[1]}", row=row)
 
 
-def _refuse(bad: np.ndarray, file: Path | str, column: str, values: np.ndarray, allowed: str) -> None:
+def _refuse(bad: np.ndarray, file: Path | str, column: str, values: np.ndarray, allowed: str, rows: np.ndarray) -> None:
     if bad.any():
-        row = int(np.argmax(bad))
+        at = int(np.argmax(bad))
+        row = int(rows[at])
         raise TableError(
-            f"{file}: column {column!r}, row {row + 1}: found {values[row]:g}; allowed are {allowed}", column, row
+            f"{file}: column {column!r}, row {row + 1}: found {values[at]:g}; allowed are {allowed}", column, row
         )
 
 

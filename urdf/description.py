@@ -38,6 +38,9 @@ File = Annotated[Path, Field(strict=False)]
 Seed = Annotated[int, Field(ge=0, lt=2**32)]
 Unit = Literal["m", "mm", "cm", "in", "rad", "deg", "rev", "1"]
 Layout = Literal["grid", "random", "d_optimal"]
+_INTRINSIC = ("XYZ", "XZY", "YXZ", "YZX", "ZXY", "ZYX", "XYX", "XZX", "YXY", "YZY", "ZXZ", "ZYZ")
+EULER_ORDERS = (*_INTRINSIC, *map(str.lower, _INTRINSIC))  # upper case: about the turned axes; lower case: fixed axes
+EULER_ANGLES = ("euler_1", "euler_2", "euler_3")  # columns, in the order of the axes
 
 SENSORS: dict[str, tuple[Literal["deg", "mm"], float]] = {  # each channel's unit in [sensor], and its usual sigma
     "orientation": ("deg", 0.0006),  # about each axis
@@ -46,9 +49,9 @@ SENSORS: dict[str, tuple[Literal["deg", "mm"], float]] = {  # each channel's uni
     "yaw": ("deg", 0.01),
 }
 if TYPE_CHECKING:
-    Channel = str
+    Channel = EulerOrder = str
 else:
-    Channel = Literal[tuple(SENSORS)]
+    Channel, EulerOrder = Literal[tuple(SENSORS)], Literal[EULER_ORDERS]
 
 
 class _Table(BaseModel):
@@ -228,6 +231,9 @@ class Measure(_Table):
     commands: File | None = None  # t and joint values as commanded, in place of `table`: poses are found in `streams`
     log: Log = Log()  # how `streams` is read
     columns: dict[str, Column] = {}
+    # orientations in another notation than qx, qy, qz, qw or rx, ry, rz of intrinsic XYZ
+    euler: EulerOrder | None = None  # of euler_1, euler_2, euler_3, or of rx, ry, rz, each about its axis
+    rotation_vector: bool = False  # rx, ry, rz are one
     # how a text table is written; what is not set is recognised
     separator: Annotated[str, Field(min_length=1, max_length=1)] | None = None
     decimal: Literal[".", ","] | None = None
@@ -245,6 +251,29 @@ class Measure(_Table):
         if isinstance(columns, Mapping):
             return {k: {"from": v} if isinstance(v, str) else v for k, v in columns.items()}
         return columns
+
+    @field_validator("euler", mode="before")
+    @classmethod
+    def _order(cls, order: Any) -> Any:
+        if order is not None and order not in EULER_ORDERS:
+            intrinsic = ", ".join(_INTRINSIC)
+            raise ValueError(
+                f"found {_shorten(order)}; allowed are {intrinsic} (about the turned axes), and the same in lower case "
+                "(about fixed axes)"
+            )
+        return order
+
+    @model_validator(mode="after")
+    def _one_notation(self) -> Measure:
+        if self.euler is not None and self.rotation_vector:
+            raise ValueError(f'euler = "{self.euler}" and rotation_vector = true: set only one of them')
+        mapped = [name for name in EULER_ANGLES if name in self.columns]
+        if mapped and self.euler is None:
+            raise ValueError(f'columns.{mapped[0]} needs the order of the axes: set measure.euler, such as "ZYX"')
+        twice = [name for name in ("rx", "ry", "rz") if name in self.columns]
+        if mapped and twice:
+            raise ValueError(f"columns: {mapped[0]} and {twice[0]} both give the orientation; name only one of them")
+        return self
 
     @model_validator(mode="after")
     def _consistent(self) -> Measure:

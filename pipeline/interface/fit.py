@@ -170,16 +170,15 @@ def identify(robot: RobotLike, data: Data | None = None, *, progress: StageObser
 
 def measured_table(robot: Robot, model: Model, data: Data) -> Measured:
     """A table that was brought, as the measure stage hands it on. Raises InputError."""
-    from kincal.identification.measurement_table import canonical_table, check_readings, table_notes
+    from kincal.identification.measurement_table import check_readings, measured_poses
     from kincal.pipeline.results import Measured
     from kincal.pipeline.stages.robot_data import DrawnRobot
 
     description = robot.description
     raw, source = raw_table(data, description.measure, "data", description.actuated)
     errors = DrawnRobot.of(model, description).errors
-    table = canonical_table(raw, errors.chain.actuated_names, description.measure, source)
+    table, notes = measured_poses(raw, errors.chain.actuated_names, description.measure, source)
     check_readings(table, errors.chain, errors.actuators, description.tolerance, source)
-    notes = table_notes(raw, errors.chain.actuated_names, description.measure, source)
     for note in notes:
         logger.warning("%s", note)
     name = source.name if isinstance(source, Path) else source
