@@ -12,6 +12,7 @@ from kincal.identification.channels import CHANNELS
 from kincal.identification.channels.orientation import quaternions as quaternions
 from kincal.identification.column_names import matched, misspelt, unused, unused_note
 from kincal.identification.orientations import as_quaternion, check_notation, shadowed
+from kincal.identification.skipped_poses import kept, skip_note
 from kincal.identification.table_files import floats, load
 from kincal.urdf.actuators import Actuators
 from kincal.urdf.closed_chain import ClosedChain
@@ -65,10 +66,9 @@ def canonical_table(
             raise InputError(
                 f"{file}: measure.columns: {name!r} is no column of a measurement table; {nearest(name, known)}"
             )
-    rows = np.arange(len(raw))
-    if measured:
-        rows = np.flatnonzero(~_unmeasured(raw, joints, measure))
-        rows = rows if len(rows) else np.arange(len(raw))
+    stay = _kept(raw, joints, measure, file)
+    seen = stay & ~_unmeasured(raw, joints, measure) if measured else stay
+    rows = np.flatnonzero(seen if seen.any() else stay)
     raw, attributes = raw.iloc[rows], raw.attrs
     columns: dict[str, np.ndarray] = {"pose": rows}
     sources = _with_units(_sources(raw.columns, joints, measure), attributes.get("units", {}))
@@ -89,6 +89,15 @@ def canonical_table(
     return pd.DataFrame(columns)
 
 
+def _kept(raw: pd.DataFrame, joints: Sequence[str], measure: Measure, file: Path | str) -> np.ndarray:
+    """(n,) rows that measure.skip does not leave out. What else they hold is not read."""
+    if not measure.skip:
+        return np.ones(len(raw), dtype=bool)
+    column = _sources(raw.columns, joints, measure).get("pose")
+    poses = np.arange(len(raw), dtype=float) if column is None else floats(raw[column.source])
+    return kept(poses, measure.skip, file)
+
+
 def _unmeasured(raw: pd.DataFrame, joints: Sequence[str], measure: Measure) -> np.ndarray:
     """(n,) rows that have joint values, and nothing in any measured column: the target was not seen there."""
     sources = _sources(raw.columns, joints, measure)
@@ -102,10 +111,11 @@ def _unmeasured(raw: pd.DataFrame, joints: Sequence[str], measure: Measure) -> n
 def table_notes(raw: pd.DataFrame, joints: Sequence[str], measure: Measure, file: Path | str) -> tuple[str, ...]:
     """What a user should know of the columns: those that nothing uses, named once."""
     used = {column.source for column in _sources(raw.columns, joints, measure).values()}
-    blank = np.flatnonzero(_unmeasured(raw, joints, measure))
+    blank = np.flatnonzero(_kept(raw, joints, measure, file) & _unmeasured(raw, joints, measure))
     skipped = f"{file}: {len(blank)} of {len(raw)} rows have no measurement and are skipped: rows {listed(blank + 1)}"
     others = [name for name in unused(list(raw.columns), used) if not name.startswith("planned_")]  # of `kincal plan`
     notes = [*raw.attrs.get("notes", ()), *([skipped] if 0 < len(blank) < len(raw) else [])]
+    notes += [skip_note(measure.skip, file)] if measure.skip else []
     return (*notes, *([f"{file}: {unused_note(others)}"] if others else []))
 
 

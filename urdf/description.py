@@ -231,6 +231,7 @@ class Measure(_Table):
     commands: File | None = None  # t and joint values as commanded, in place of `table`: poses are found in `streams`
     log: Log = Log()  # how `streams` is read
     columns: dict[str, Column] = {}
+    skip: Annotated[tuple[int, ...], Field(strict=False)] = ()  # numbers of poses that are left out
     # orientations in another notation than qx, qy, qz, qw or rx, ry, rz of intrinsic XYZ
     euler: EulerOrder | None = None  # of euler_1, euler_2, euler_3, or of rx, ry, rz, each about its axis
     rotation_vector: bool = False  # rx, ry, rz are one
@@ -303,6 +304,10 @@ class Measure(_Table):
     def of_columns(self, names: Iterable[str]) -> Measure:
         """These settings with the column map of `names` alone."""
         return self.model_copy(update={"columns": {k: v for k, v in self.columns.items() if k in set(names)}})
+
+    def of_other_table(self) -> Measure:
+        """These settings for a table that is not `table`: its poses have other numbers."""
+        return self.model_copy(update={"skip": ()})
 
     @property
     def virtual(self) -> bool:

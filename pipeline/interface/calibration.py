@@ -33,7 +33,8 @@ if TYPE_CHECKING:
     from kincal.pipeline.results import Comparison
     from kincal.pipeline.run.runner import Run
 
-_CANONICAL = ("measure.columns={}", "measure.rotation_vector=false")  # settings of a table that was read already
+# settings of a table that was read already
+_CANONICAL = ("measure.columns={}", "measure.rotation_vector=false", "measure.skip=[]")
 
 
 class Calibration:

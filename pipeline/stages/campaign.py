@@ -89,14 +89,19 @@ def filter_stage(measured: Measured, filter: Filter, sensor: Sensor) -> Filtered
 def _from_files(chain: ClosedChain, nominal: ErrorModel, measure: Measure, tolerance: Tolerance) -> Measured:
     """Static poses as a table; joint values and a stream that names poses; or a log and the commands of its time."""
     from kincal.identification.measurement_table import check_readings, noted_table
+    from kincal.identification.skipped_poses import kept, skip_note
     from kincal.identification.streams.campaign import Campaign
     from kincal.identification.streams.reading import read_stream
     from kincal.identification.streams.static_poses import static_poses
 
     if measure.commands is not None:
         poses = static_poses(measure, chain.actuated_names)
-        check_readings(poses.table, chain, nominal.actuators, tolerance, measure.commands)
-        return Measured(poses.campaign.health.file, poses.table, poses.stream, None, poses.campaign)
+        numbers, dropped = poses.table["pose"].to_numpy(), (d.pose for d in poses.campaign.dropped)
+        rows = kept(numbers, measure.skip, measure.commands, dropped)
+        table = poses.table[rows].reset_index(drop=True)
+        check_readings(table, chain, nominal.actuators, tolerance, measure.commands)
+        notes = (skip_note(measure.skip, measure.commands),) if measure.skip else ()
+        return Measured(poses.campaign.health.file, table, poses.stream, None, poses.campaign, notes)
     assert measure.table is not None
     settings = measure if measure.streams is None else measure.of_columns(("pose", *chain.actuated_names))
     table, notes = noted_table(measure.table, chain.actuated_names, settings, measured=measure.streams is None)
@@ -104,4 +109,4 @@ def _from_files(chain: ClosedChain, nominal: ErrorModel, measure: Measure, toler
     if measure.streams is None:
         return Measured(measure.table.name, table, None, None, notes=notes)
     stream, health = read_stream(measure.streams, measure)
-    return Measured(health.file, table, stream, None, Campaign(health, None, len(table), len(table), ()))
+    return Measured(health.file, table, stream, None, Campaign(health, None, len(table), len(table), ()), notes)
