@@ -49,8 +49,8 @@ def recognised(file: Path, measure: Measure, wanted: Iterable[str] = ()) -> Dial
     """The dialect of a text table. wanted: names that its header may have. Raises InputError."""
     with open(file, "rb") as stream:
         head = stream.read(_HEAD)
-    encoding = measure.encoding or _encoding(head)
-    lines = _lines(file, head, encoding)
+    encoding = encoding_of(file, measure, head)
+    lines = _lines(head, encoding)
     names = {folded(name) for name in (*wanted, *(column.source for column in measure.columns.values()))}
     row, separator, score = _header(lines, measure, names)
     if row is None:
@@ -64,6 +64,18 @@ def recognised(file: Path, measure: Measure, wanted: Iterable[str] = ()) -> Dial
     decimal = measure.decimal or _decimal(data)
     found = Dialect(encoding, separator, decimal, columns, tuple(skipped), units, _block(lines, columns), trailing)
     return Dialect(**{**vars(found), "notes": tuple(_notes(file, measure, found, row))}) if score else found
+
+
+def encoding_of(file: Path, measure: Measure, head: bytes) -> str:
+    """As set, else by the first bytes. Raises InputError."""
+    encoding = measure.encoding or _encoding(head)
+    try:
+        codecs.lookup(encoding)
+    except LookupError:
+        raise InputError(
+            f"{file}: measure.encoding: {encoding!r} is unknown; allowed are utf-8, utf-16, cp1252 and others of Python"
+        ) from None
+    return encoding
 
 
 def folded(name: str) -> str:
@@ -110,14 +122,8 @@ def _encoding(head: bytes) -> str:
     return "utf-8"
 
 
-def _lines(file: Path, head: bytes, encoding: str) -> list[str]:
-    try:
-        text = head.decode(encoding, errors="replace")
-    except LookupError:
-        raise InputError(
-            f"{file}: measure.encoding: {encoding!r} is unknown; allowed are utf-8, utf-16, cp1252 and others of Python"
-        ) from None
-    lines = text.splitlines()
+def _lines(head: bytes, encoding: str) -> list[str]:
+    lines = head.decode(encoding, errors="replace").splitlines()
     return (lines[:-1] if len(head) == _HEAD else lines)[:_LINES]
 
 

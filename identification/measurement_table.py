@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Hashable, Iterable, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +11,7 @@ import pandas as pd
 from kincal.identification.channels import CHANNELS
 from kincal.identification.channels.orientation import quaternions as quaternions
 from kincal.identification.column_names import matched, misspelt, unused, unused_note
+from kincal.identification.joint_table import with_joints
 from kincal.identification.orientations import as_quaternion, check_notation, shadowed
 from kincal.identification.skipped_poses import kept, skip_note
 from kincal.identification.table_files import floats, load
@@ -44,9 +45,23 @@ def measured_poses(
     raw: pd.DataFrame, joints: Sequence[str], measure: Measure, file: Path | str
 ) -> tuple[pd.DataFrame, tuple[str, ...]]:
     """The table that [measure] describes as the canonical one, and notes on it. Raises InputError."""
+    raw = _joined(raw, joints, measure, file)
     table = canonical_table(raw, joints, measure, file)
     check_notation(table.columns, raw.columns, measure, file)
     return table, table_notes(raw, joints, measure, file)
+
+
+def _joined(raw: pd.DataFrame, joints: Sequence[str], measure: Measure, file: Path | str) -> pd.DataFrame:
+    """With the joint values of measure.joints, where the table has none."""
+    if measure.joints is None:
+        return raw
+    columns = _sources(raw.columns, joints, measure)
+    if any(name in columns for name in joints):
+        note = f"{file}: the joint values are those of this table; measure.joints is not used"
+        raw.attrs["notes"] = (*raw.attrs.get("notes", ()), note)
+        return raw
+    sources = {name: measure.columns[name].source for name in joints if name in measure.columns}
+    return with_joints(raw, [sources.get(name, name) for name in joints], measure, file)
 
 
 def canonical_table(
@@ -77,6 +92,7 @@ def canonical_table(
             values = raw[sources[name].source]
             columns[name] = numbers(values.tolist(), sources[name], file, rows)
         elif name in measure.columns or name in joints:
+            _check_export(attributes, joints, file)
             source, has = measure.columns[name].source if name in measure.columns else name, listed(raw.columns)
             raise TableError(f"{file}: column {source!r} ({name}) is missing; it has {has}", source)
     if measured:
@@ -87,6 +103,18 @@ def canonical_table(
     for channel in CHANNELS:
         columns = channel.canonical(columns)
     return pd.DataFrame(columns)
+
+
+def _check_export(attributes: Mapping[Hashable, object], joints: Sequence[str], file: Path | str) -> None:
+    """Refuse an export without joint values, with the way to give them."""
+    if "export" in attributes and joints:
+        raise TableError(
+            f"{file}: a {attributes['export']} export: its columns are named by several lines, and it has no joint "
+            f"values. Set measure.joints to a table of {listed(['pose', *joints])}, and frame (or frame_from and "
+            "frame_to, or t_from and t_to). Or make one table with a single line of names: pose, the joints, and x, y, "
+            "z, qx, qy, qz, qw",
+            joints[0],
+        )
 
 
 def _kept(raw: pd.DataFrame, joints: Sequence[str], measure: Measure, file: Path | str) -> np.ndarray:

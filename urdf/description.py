@@ -230,6 +230,8 @@ class Measure(_Table):
     streams: File | None = None  # raw sensor streams, for the filter
     commands: File | None = None  # t and joint values as commanded, in place of `table`: poses are found in `streams`
     log: Log = Log()  # how `streams` is read
+    joints: File | None = None  # the joint values of each pose, where `table` has none
+    body: Annotated[str, Field(min_length=1, max_length=200)] | None = None  # rigid body or marker of an export
     columns: dict[str, Column] = {}
     skip: Annotated[tuple[int, ...], Field(strict=False)] = ()  # numbers of poses that are left out
     # orientations in another notation than qx, qy, qz, qw or rx, ry, rz of intrinsic XYZ
@@ -295,6 +297,8 @@ class Measure(_Table):
                 "streams need a table with each pose's joint values, or a command log: "
                 "set measure.table or measure.commands"
             )
+        if self.joints is not None and (self.table is None or self.streams is not None):
+            raise ValueError("joints go with a table of measured poses: set measure.table, without measure.streams")
         if self.channels is not None and not self.channels:
             raise ValueError(f"channels = []: allowed are one or more of {', '.join(SENSORS)}")
         if self.channels and "orientation" in self.channels and {"tilt", "yaw"} & set(self.channels):
@@ -505,7 +509,7 @@ class Setting:
 
 
 # Fields that hold a path: relative to robot.toml there, to the current folder in --set.
-PATHS = (("urdf",), ("measure", "table"), ("measure", "streams"), ("measure", "commands"))
+PATHS = (("urdf",), *(("measure", key) for key in ("table", "joints", "streams", "commands")))
 
 
 _DRAWINGS = (".urdf", ".xml", ".mjcf", ".xacro", ".sdf")
@@ -543,7 +547,7 @@ def _one_source(content: dict[str, Any], settings: tuple[Setting, ...]) -> None:
     if keys & set(_MEASURED) and _SOURCE not in keys:
         measure.pop("source", None)
     elif any(setting.keys == _SOURCE and setting.value == "virtual" for setting in settings):
-        for _, key in (*_MEASURED, ("measure", "streams")):
+        for _, key in (*_MEASURED, ("measure", "streams"), ("measure", "joints")):
             measure.pop(key, None)
 
 
