@@ -138,7 +138,10 @@ def _header(lines: Sequence[str], measure: Measure, names: set[str]) -> tuple[in
     for k in candidates:
         plain = _COMMENT.sub("", lines[k], count=1)
         for s, separator in enumerate(separators):
-            score = len({folded(cell) for cell in _cells(plain, separator)} & names)
+            cells = _cells(plain, separator)
+            score = len({folded(cell) for cell in cells} & names)
+            if separator == " " != measure.separator and score and not _go_on(lines, k, separator, len(cells)):
+                continue  # blanks inside of names
             best = max(best or (score, -k, -s), (score, -k, -s))
     if best is None:
         return None, separators[0], 0
@@ -147,7 +150,14 @@ def _header(lines: Sequence[str], measure: Measure, names: set[str]) -> tuple[in
     # no row has the names: the first one that is no comment, as it may be
     first = next((k for k in candidates if not _COMMENT.match(lines[k])), candidates[0])
     counts = [len(_cells(lines[first], separator)) for separator in separators]
+    counts = [n * (1 + _go_on(lines, first, s, n) * len(lines[first])) for s, n in zip(separators, counts, strict=True)]
     return first, separators[counts.index(max(counts))], best[0] if best[0] else 0
+
+
+def _go_on(lines: Sequence[str], k: int, separator: str, n: int) -> bool:
+    """Whether one of the next two lines has as many cells as line k, n: with the right separator it does."""
+    below = [line for line in lines[k + 1 :] if line.strip()][:2]
+    return n > 1 and (not below or any(len(_cells(line, separator)) in (n, n + 1) for line in below))
 
 
 def _cells(line: str, separator: str) -> list[str]:

@@ -35,7 +35,7 @@ def noted_table(
     file: Path, joints: Sequence[str], measure: Measure, measured: bool = True
 ) -> tuple[pd.DataFrame, tuple[str, ...]]:
     """A file as the canonical table, and notes on what was not used."""
-    raw = load(file, measure, _known(joints, measure))
+    raw = load(file, measure, known_columns(joints, measure))
     if measured:
         return measured_poses(raw, joints, measure, file)
     return canonical_table(raw, joints, measure, file, measured), table_notes(raw, joints, measure, file)
@@ -75,7 +75,7 @@ def canonical_table(
     """
     if not len(raw):
         raise TableError(f"{file}: the table is empty; at least one row is needed")
-    known = _known(joints, measure)
+    known = known_columns(joints, measure)
     for name in measure.columns:
         if name not in known:
             raise InputError(
@@ -84,9 +84,9 @@ def canonical_table(
     stay = _kept(raw, joints, measure, file)
     seen = stay & ~_unmeasured(raw, joints, measure) if measured else stay
     rows = np.flatnonzero(seen if seen.any() else stay)
-    raw, attributes = raw.iloc[rows], raw.attrs
+    sources, attributes = used_columns(raw, joints, measure), raw.attrs
+    raw = raw.iloc[rows]
     columns: dict[str, np.ndarray] = {"pose": rows}
-    sources = _with_units(_sources(raw.columns, joints, measure), attributes.get("units", {}))
     for name in known:
         if name in sources:
             values = raw[sources[name].source]
@@ -147,15 +147,21 @@ def table_notes(raw: pd.DataFrame, joints: Sequence[str], measure: Measure, file
     return (*notes, *([f"{file}: {unused_note(others)}"] if others else []))
 
 
-def _known(joints: Sequence[str], measure: Measure) -> list[str]:
+def known_columns(joints: Sequence[str], measure: Measure) -> list[str]:
+    """The canonical columns that a table may have under these settings."""
     measured = [name for group in (_GROUPS if measure.euler else _GROUPS[:-1]) for name in group]
     return ["pose", *joints, *measured, *(f"{c.name}_std" for c in CHANNELS)]
+
+
+def used_columns(raw: pd.DataFrame, joints: Sequence[str], measure: Measure) -> dict[str, Column]:
+    """{canonical name: the column that it is read from, and its unit}."""
+    return _with_units(_sources(raw.columns, joints, measure), raw.attrs.get("units", {}))
 
 
 def _sources(present: Iterable[str], joints: Sequence[str], measure: Measure) -> dict[str, Column]:
     """{canonical name: the column that has it, and its unit}."""
     names, sources = [str(name) for name in present], {}
-    known = _known(joints, measure)
+    known = known_columns(joints, measure)
     plain = matched(names, known)
     mapped = matched(names, [column.source for column in measure.columns.values()])
     for name in known:

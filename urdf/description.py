@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar, get_args
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, create_model, field_validator, model_validator
 
+from kincal.urdf.column_templates import expanded
 from kincal.urdf.errors import InputError, UnknownNameError
 from kincal.urdf.input_files import MAX_KEY, MAX_TOML, parse_toml, read_text
 
@@ -247,6 +248,11 @@ class Measure(_Table):
     seed: Seed | None = None  # virtual: of this unit's errors and its noise; default: the seed at the top
     stream: Stream | None = None  # virtual: tilt and yaw come as streams; without it, as one reading a pose
     errors: VirtualErrors = VirtualErrors()
+
+    @model_validator(mode="before")
+    @classmethod
+    def _template(cls, content: Any) -> Any:
+        return expanded(content) if isinstance(content, Mapping) else content
 
     @field_validator("columns", mode="before")
     @classmethod
@@ -554,6 +560,8 @@ def _one_source(content: dict[str, Any], settings: tuple[Setting, ...]) -> None:
 def read_columns(file: Path) -> dict[str, Column]:
     """A column map from a TOML file of its own, as [measure.columns] has it."""
     content = read_toml(file)
+    measure = content.get("measure")
+    content = measure if isinstance(measure, dict) else content
     return validate(Measure, {"table": "-", "columns": content.get("columns", content)}, str(file)).columns
 
 
