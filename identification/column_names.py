@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import unicodedata
 from collections import defaultdict
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from difflib import get_close_matches
 
-from kincal.urdf.description import listed
+from kincal.urdf.description import Column, listed
 
 _NEAR = 0.84  # similarity of names, 0 .. 1: the other one is meant
 _SHORTEST = 5  # letters of names that may be meant: shorter ones are near to many
@@ -54,6 +54,17 @@ def misspelt(columns: Sequence[str], missing: Iterable[str]) -> tuple[str, str] 
         near = get_close_matches(_folded(column), names, n=1, cutoff=_NEAR) if len(column) >= _SHORTEST else []
         if near:
             return column, names[near[0]]
+    return None
+
+
+def half_declared(sources: Mapping[str, Column], groups: Iterable[Sequence[str]]) -> tuple[str, str, str] | None:
+    """A column whose unit is another than kincal's, that unit, and one of its group that has none; None: all agree."""
+    for group in groups:
+        columns = {name: sources[name] for name in group if name in sources}
+        plain = [name for name, c in columns.items() if c.unit == "1" and "unit" not in c.model_fields_set]
+        other = next((name for name, c in columns.items() if c.unit not in ("1", "m", "rad")), None)
+        if plain and other is not None:
+            return other, columns[other].unit, plain[0]
     return None
 
 

@@ -10,7 +10,7 @@ import pandas as pd
 
 from kincal.identification.channels import CHANNELS
 from kincal.identification.channels.orientation import quaternions as quaternions
-from kincal.identification.column_names import matched, misspelt, unused, unused_note
+from kincal.identification.column_names import half_declared, matched, misspelt, unused, unused_note
 from kincal.identification.joint_table import with_joints
 from kincal.identification.orientations import as_quaternion, check_notation, shadowed
 from kincal.identification.skipped_poses import kept, skip_note
@@ -76,15 +76,20 @@ def canonical_table(
     if not len(raw):
         raise TableError(f"{file}: the table is empty; at least one row is needed")
     known = known_columns(joints, measure)
-    for name in measure.columns:
-        if name not in known:
-            raise InputError(
-                f"{file}: measure.columns: {name!r} is no column of a measurement table; {nearest(name, known)}"
-            )
+    wrong = next((name for name in measure.columns if name not in known), None)
+    if wrong is not None:
+        where = f"{file}: measure.columns: {wrong!r}"
+        raise InputError(f"{where} is no column of a measurement table; {nearest(wrong, known)}")
     stay = _kept(raw, joints, measure, file)
     seen = stay & ~_unmeasured(raw, joints, measure) if measured else stay
     rows = np.flatnonzero(seen if seen.any() else stay)
     sources, attributes = used_columns(raw, joints, measure), raw.attrs
+    mixed = half_declared(sources, _GROUPS)
+    if mixed is not None:
+        name, unit, other = mixed
+        raise TableError(
+            f"{file}: {name} is in {unit}, but {other} has no unit: set that of each in measure.columns", other
+        )
     raw = raw.iloc[rows]
     columns: dict[str, np.ndarray] = {"pose": rows}
     for name in known:
@@ -103,6 +108,14 @@ def canonical_table(
     for channel in CHANNELS:
         columns = channel.canonical(columns)
     return pd.DataFrame(columns)
+
+
+def _check_units(sources: Mapping[str, Column], file: Path | str) -> None:
+    mixed = half_declared(sources, _GROUPS)
+    if mixed is not None:
+        name, unit, other = mixed
+        message = f"column {name} has the unit {unit!r}, but {other} has no unit: set that of each in measure.columns"
+        raise TableError(f"{file}: {message}", other)
 
 
 def _check_export(attributes: Mapping[Hashable, object], joints: Sequence[str], file: Path | str) -> None:

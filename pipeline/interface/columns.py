@@ -63,7 +63,7 @@ def map_as_toml(report: TableReport) -> str:
             columns[name] = column.source
             continue
         entry = tomlkit.inline_table()
-        entry.update({"from": column.source, "unit": column.unit})
+        entry["from"], entry["unit"] = column.source, column.unit
         columns[name] = entry
     for joint in report.missing:
         columns.add(tomlkit.comment(f'{joint} = "": no column of the table has this name'))
