@@ -83,23 +83,9 @@ def canonical_table(
     stay = _kept(raw, joints, measure, file)
     seen = stay & ~_unmeasured(raw, joints, measure) if measured else stay
     rows = np.flatnonzero(seen if seen.any() else stay)
-    sources, attributes = used_columns(raw, joints, measure), raw.attrs
-    mixed = half_declared(sources, _GROUPS)
-    if mixed is not None:
-        name, unit, other = mixed
-        raise TableError(
-            f"{file}: {name} is in {unit}, but {other} has no unit: set that of each in measure.columns", other
-        )
-    raw = raw.iloc[rows]
-    columns: dict[str, np.ndarray] = {"pose": rows}
-    for name in known:
-        if name in sources:
-            values = raw[sources[name].source]
-            columns[name] = numbers(values.tolist(), sources[name], file, rows)
-        elif name in measure.columns or name in joints:
-            _check_export(attributes, joints, file)
-            source, has = measure.columns[name].source if name in measure.columns else name, listed(raw.columns)
-            raise TableError(f"{file}: column {source!r} ({name}) is missing; it has {has}", source)
+    sources = used_columns(raw, joints, measure)
+    _check_units(sources, file)
+    columns = {"pose": rows, **_values(raw, sources, joints, measure, file, rows)}
     if measured:
         _check_spelling(raw.columns, sources, known, file)
     _check_groups(columns, file, measured)
@@ -108,6 +94,26 @@ def canonical_table(
     for channel in CHANNELS:
         columns = channel.canonical(columns)
     return pd.DataFrame(columns)
+
+
+def _values(
+    raw: pd.DataFrame,
+    sources: Mapping[str, Column],
+    joints: Sequence[str],
+    measure: Measure,
+    file: Path | str,
+    rows: np.ndarray,
+) -> dict[str, np.ndarray]:
+    """{canonical name: (n,) numbers of these rows}. Raises TableError for a missing column."""
+    columns = {}
+    for name in known_columns(joints, measure):
+        if name in sources:
+            columns[name] = numbers(raw[sources[name].source].iloc[rows].tolist(), sources[name], file, rows)
+        elif name in measure.columns or name in joints:
+            _check_export(raw.attrs, joints, file)
+            source = measure.columns[name].source if name in measure.columns else name
+            raise TableError(f"{file}: column {source!r} ({name}) is missing; it has {listed(raw.columns)}", source)
+    return columns
 
 
 def _check_units(sources: Mapping[str, Column], file: Path | str) -> None:
