@@ -10,7 +10,7 @@ import pandas as pd
 
 from kincal.identification.channels import CHANNELS
 from kincal.identification.channels.orientation import quaternions as quaternions
-from kincal.identification.column_names import half_declared, matched, misspelt, unused, unused_note
+from kincal.identification.column_names import check_units, matched, misspelt, unused, unused_note
 from kincal.identification.joint_table import with_joints
 from kincal.identification.orientations import as_quaternion, check_notation, shadowed
 from kincal.identification.skipped_poses import kept, skip_note
@@ -84,7 +84,7 @@ def canonical_table(
     seen = stay & ~_unmeasured(raw, joints, measure) if measured else stay
     rows = np.flatnonzero(seen if seen.any() else stay)
     sources = used_columns(raw, joints, measure)
-    _check_units(sources, file)
+    check_units(sources, _GROUPS, file)
     columns = {"pose": rows, **_values(raw, sources, joints, measure, file, rows)}
     if measured:
         _check_spelling(raw.columns, sources, known, file)
@@ -114,14 +114,6 @@ def _values(
             source = measure.columns[name].source if name in measure.columns else name
             raise TableError(f"{file}: column {source!r} ({name}) is missing; it has {listed(raw.columns)}", source)
     return columns
-
-
-def _check_units(sources: Mapping[str, Column], file: Path | str) -> None:
-    mixed = half_declared(sources, _GROUPS)
-    if mixed is not None:
-        name, unit, other = mixed
-        message = f"column {name} has the unit {unit!r}, but {other} has no unit: set that of each in measure.columns"
-        raise TableError(f"{file}: {message}", other)
 
 
 def _check_export(attributes: Mapping[Hashable, object], joints: Sequence[str], file: Path | str) -> None:
