@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import unicodedata
 from collections import defaultdict
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from difflib import get_close_matches
+from pathlib import Path
 
-from kincal.urdf.description import listed
+from kincal.urdf.description import Column, listed
+from kincal.urdf.errors import TableError
 
 _NEAR = 0.84  # similarity of names, 0 .. 1: the other one is meant
 _SHORTEST = 5  # letters of names that may be meant: shorter ones are near to many
@@ -55,6 +57,17 @@ def misspelt(columns: Sequence[str], missing: Iterable[str]) -> tuple[str, str] 
         if near:
             return column, names[near[0]]
     return None
+
+
+def check_units(sources: Mapping[str, Column], groups: Iterable[Sequence[str]], file: Path | str) -> None:
+    """Refuse a group of columns of which one has a unit other than kincal's, and another none. Raises TableError."""
+    for group in groups:
+        columns = {name: sources[name] for name in group if name in sources}
+        plain = [name for name, c in columns.items() if c.unit == "1" and "unit" not in c.model_fields_set]
+        other = next((name for name, c in columns.items() if c.unit not in ("1", "m", "rad")), None)
+        if plain and other is not None:
+            message = f"column {other} has the unit {columns[other].unit!r}, but {plain[0]} has no unit"
+            raise TableError(f"{file}: {message}: set that of each in measure.columns", plain[0])
 
 
 def _folded(name: str) -> str:

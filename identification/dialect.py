@@ -49,8 +49,8 @@ def recognised(file: Path, measure: Measure, wanted: Iterable[str] = ()) -> Dial
     """The dialect of a text table. wanted: names that its header may have. Raises InputError."""
     with open(file, "rb") as stream:
         head = stream.read(_HEAD)
-    encoding = measure.encoding or _encoding(head)
-    lines = _lines(file, head, encoding)
+    encoding = encoding_of(file, measure, head)
+    lines = _lines(head, encoding)
     names = {folded(name) for name in (*wanted, *(column.source for column in measure.columns.values()))}
     row, separator, score = _header(lines, measure, names)
     if row is None:
@@ -64,6 +64,18 @@ def recognised(file: Path, measure: Measure, wanted: Iterable[str] = ()) -> Dial
     decimal = measure.decimal or _decimal(data)
     found = Dialect(encoding, separator, decimal, columns, tuple(skipped), units, _block(lines, columns), trailing)
     return Dialect(**{**vars(found), "notes": tuple(_notes(file, measure, found, row))}) if score else found
+
+
+def encoding_of(file: Path, measure: Measure, head: bytes) -> str:
+    """As set, else by the first bytes. Raises InputError."""
+    encoding = measure.encoding or _encoding(head)
+    try:
+        codecs.lookup(encoding)
+    except LookupError:
+        raise InputError(
+            f"{file}: measure.encoding: {encoding!r} is unknown; allowed are utf-8, utf-16, cp1252 and others of Python"
+        ) from None
+    return encoding
 
 
 def folded(name: str) -> str:
@@ -110,14 +122,8 @@ def _encoding(head: bytes) -> str:
     return "utf-8"
 
 
-def _lines(file: Path, head: bytes, encoding: str) -> list[str]:
-    try:
-        text = head.decode(encoding, errors="replace")
-    except LookupError:
-        raise InputError(
-            f"{file}: measure.encoding: {encoding!r} is unknown; allowed are utf-8, utf-16, cp1252 and others of Python"
-        ) from None
-    lines = text.splitlines()
+def _lines(head: bytes, encoding: str) -> list[str]:
+    lines = head.decode(encoding, errors="replace").splitlines()
     return (lines[:-1] if len(head) == _HEAD else lines)[:_LINES]
 
 
@@ -132,7 +138,10 @@ def _header(lines: Sequence[str], measure: Measure, names: set[str]) -> tuple[in
     for k in candidates:
         plain = _COMMENT.sub("", lines[k], count=1)
         for s, separator in enumerate(separators):
-            score = len({folded(cell) for cell in _cells(plain, separator)} & names)
+            cells = _cells(plain, separator)
+            score = len({folded(cell) for cell in cells} & names)
+            if separator == " " != measure.separator and score and not _go_on(lines, k, separator, len(cells)):
+                continue  # blanks inside of names
             best = max(best or (score, -k, -s), (score, -k, -s))
     if best is None:
         return None, separators[0], 0
@@ -141,7 +150,14 @@ def _header(lines: Sequence[str], measure: Measure, names: set[str]) -> tuple[in
     # no row has the names: the first one that is no comment, as it may be
     first = next((k for k in candidates if not _COMMENT.match(lines[k])), candidates[0])
     counts = [len(_cells(lines[first], separator)) for separator in separators]
+    counts = [n * (1 + _go_on(lines, first, s, n) * len(lines[first])) for s, n in zip(separators, counts, strict=True)]
     return first, separators[counts.index(max(counts))], best[0] if best[0] else 0
+
+
+def _go_on(lines: Sequence[str], k: int, separator: str, n: int) -> bool:
+    """Whether one of the next two lines has as many cells as line k, n: with the right separator it does."""
+    below = [line for line in lines[k + 1 :] if line.strip()][:2]
+    return n > 1 and (not below or any(len(_cells(line, separator)) in (n, n + 1) for line in below))
 
 
 def _cells(line: str, separator: str) -> list[str]:

@@ -8,6 +8,7 @@ import warnings
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO
 
@@ -15,7 +16,9 @@ import numpy as np
 import pandas as pd
 
 from kincal.identification.channels import CHANNELS
-from kincal.identification.dialect import recognised
+from kincal.identification.dialect import encoding_of, recognised
+from kincal.identification.table_formats import format_of
+from kincal.identification.table_formats.export import HEAD, Source
 from kincal.identification.workbooks import WORKBOOKS, workbook
 from kincal.urdf.description import Measure
 from kincal.urdf.errors import InputError
@@ -55,7 +58,15 @@ def _text(file: Path, measure: Measure, wanted: Sequence[str]) -> pd.DataFrame:
         if stream.read(8).startswith(_PACKED):
             raise InputError(f"{file}: it is compressed; unpack it first")
         stream.seek(0)
+        encoding = encoding_of(file, measure, stream.read(1 << 16))
+        stream.seek(0)
         rows = sum(1 for _ in _lines(file, stream))
+    with open(file, encoding=encoding, errors="replace") as text:
+        source = Source(file, tuple(line.rstrip("\r\n") for line in islice(text, HEAD)), encoding)
+    form = format_of(source.lines)
+    if form is not None:
+        _check_size(file, rows, max(line.count(",") + line.count("\t") for line in source.lines))
+        return form.read(source, measure)
     dialect = recognised(file, measure, wanted)
     if dialect.block:
         raise InputError(

@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar, get_args
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, create_model, field_validator, model_validator
 
+from kincal.urdf.column_templates import expanded
 from kincal.urdf.errors import InputError, UnknownNameError
 from kincal.urdf.input_files import MAX_KEY, MAX_TOML, parse_toml, read_text
 
@@ -38,6 +39,9 @@ File = Annotated[Path, Field(strict=False)]
 Seed = Annotated[int, Field(ge=0, lt=2**32)]
 Unit = Literal["m", "mm", "cm", "in", "rad", "deg", "rev", "1"]
 Layout = Literal["grid", "random", "d_optimal"]
+_INTRINSIC = ("XYZ", "XZY", "YXZ", "YZX", "ZXY", "ZYX", "XYX", "XZX", "YXY", "YZY", "ZXZ", "ZYZ")
+EULER_ORDERS = (*_INTRINSIC, *map(str.lower, _INTRINSIC))  # upper case: about the turned axes; lower case: fixed axes
+EULER_ANGLES = ("euler_1", "euler_2", "euler_3")  # columns, in the order of the axes
 
 SENSORS: dict[str, tuple[Literal["deg", "mm"], float]] = {  # each channel's unit in [sensor], and its usual sigma
     "orientation": ("deg", 0.0006),  # about each axis
@@ -46,9 +50,9 @@ SENSORS: dict[str, tuple[Literal["deg", "mm"], float]] = {  # each channel's uni
     "yaw": ("deg", 0.01),
 }
 if TYPE_CHECKING:
-    Channel = str
+    Channel = EulerOrder = str
 else:
-    Channel = Literal[tuple(SENSORS)]
+    Channel, EulerOrder = Literal[tuple(SENSORS)], Literal[EULER_ORDERS]
 
 
 class _Table(BaseModel):
@@ -227,7 +231,13 @@ class Measure(_Table):
     streams: File | None = None  # raw sensor streams, for the filter
     commands: File | None = None  # t and joint values as commanded, in place of `table`: poses are found in `streams`
     log: Log = Log()  # how `streams` is read
+    joints: File | None = None  # the joint values of each pose, where `table` has none
+    body: Annotated[str, Field(min_length=1, max_length=200)] | None = None  # rigid body or marker of an export
     columns: dict[str, Column] = {}
+    skip: Annotated[tuple[int, ...], Field(strict=False)] = ()  # numbers of poses that are left out
+    # orientations in another notation than qx, qy, qz, qw or rx, ry, rz of intrinsic XYZ
+    euler: EulerOrder | None = None  # of euler_1, euler_2, euler_3, or of rx, ry, rz, each about its axis
+    rotation_vector: bool = False  # rx, ry, rz are one
     # how a text table is written; what is not set is recognised
     separator: Annotated[str, Field(min_length=1, max_length=1)] | None = None
     decimal: Literal[".", ","] | None = None
@@ -239,12 +249,40 @@ class Measure(_Table):
     stream: Stream | None = None  # virtual: tilt and yaw come as streams; without it, as one reading a pose
     errors: VirtualErrors = VirtualErrors()
 
+    @model_validator(mode="before")
+    @classmethod
+    def _template(cls, content: Any) -> Any:
+        return expanded(content) if isinstance(content, Mapping) else content
+
     @field_validator("columns", mode="before")
     @classmethod
     def _short_form(cls, columns: Any) -> Any:
         if isinstance(columns, Mapping):
             return {k: {"from": v} if isinstance(v, str) else v for k, v in columns.items()}
         return columns
+
+    @field_validator("euler", mode="before")
+    @classmethod
+    def _order(cls, order: Any) -> Any:
+        if order is not None and order not in EULER_ORDERS:
+            intrinsic = ", ".join(_INTRINSIC)
+            raise ValueError(
+                f"found {_shorten(order)}; allowed are {intrinsic} (about the turned axes), and the same in lower case "
+                "(about fixed axes)"
+            )
+        return order
+
+    @model_validator(mode="after")
+    def _one_notation(self) -> Measure:
+        if self.euler is not None and self.rotation_vector:
+            raise ValueError(f'euler = "{self.euler}" and rotation_vector = true: set only one of them')
+        mapped = [name for name in EULER_ANGLES if name in self.columns]
+        if mapped and self.euler is None:
+            raise ValueError(f'columns.{mapped[0]} needs the order of the axes: set measure.euler, such as "ZYX"')
+        twice = [name for name in ("rx", "ry", "rz") if name in self.columns]
+        if mapped and twice:
+            raise ValueError(f"columns: {mapped[0]} and {twice[0]} both give the orientation; name only one of them")
+        return self
 
     @model_validator(mode="after")
     def _consistent(self) -> Measure:
@@ -265,6 +303,8 @@ class Measure(_Table):
                 "streams need a table with each pose's joint values, or a command log: "
                 "set measure.table or measure.commands"
             )
+        if self.joints is not None and (self.table is None or self.streams is not None):
+            raise ValueError("joints go with a table of measured poses: set measure.table, without measure.streams")
         if self.channels is not None and not self.channels:
             raise ValueError(f"channels = []: allowed are one or more of {', '.join(SENSORS)}")
         if self.channels and "orientation" in self.channels and {"tilt", "yaw"} & set(self.channels):
@@ -274,6 +314,10 @@ class Measure(_Table):
     def of_columns(self, names: Iterable[str]) -> Measure:
         """These settings with the column map of `names` alone."""
         return self.model_copy(update={"columns": {k: v for k, v in self.columns.items() if k in set(names)}})
+
+    def of_other_table(self) -> Measure:
+        """These settings for a table that is not `table`: its poses have other numbers."""
+        return self.model_copy(update={"skip": ()})
 
     @property
     def virtual(self) -> bool:
@@ -472,7 +516,7 @@ class Setting:
 
 
 # Fields that hold a path: relative to robot.toml there, to the current folder in --set.
-PATHS = (("urdf",), ("measure", "table"), ("measure", "streams"), ("measure", "commands"))
+PATHS = (("urdf",), *(("measure", key) for key in ("table", "joints", "streams", "commands")))
 
 
 _DRAWINGS = (".urdf", ".xml", ".mjcf", ".xacro", ".sdf")
@@ -510,13 +554,15 @@ def _one_source(content: dict[str, Any], settings: tuple[Setting, ...]) -> None:
     if keys & set(_MEASURED) and _SOURCE not in keys:
         measure.pop("source", None)
     elif any(setting.keys == _SOURCE and setting.value == "virtual" for setting in settings):
-        for _, key in (*_MEASURED, ("measure", "streams")):
+        for _, key in (*_MEASURED, ("measure", "streams"), ("measure", "joints")):
             measure.pop(key, None)
 
 
 def read_columns(file: Path) -> dict[str, Column]:
     """A column map from a TOML file of its own, as [measure.columns] has it."""
     content = read_toml(file)
+    measure = content.get("measure")
+    content = measure if isinstance(measure, dict) else content
     return validate(Measure, {"table": "-", "columns": content.get("columns", content)}, str(file)).columns
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+from kincal.urdf.column_templates import TEMPLATES
 from kincal.urdf.description import RobotDescription
 
 ID = "kincal-robot-1"
@@ -13,9 +14,11 @@ FILE = "robot.schema.json"  # that the `#:schema` line of `kincal init` names
 def robot_schema() -> dict[str, Any]:
     """A JSON Schema (draft 2020-12). Checks across fields, such as names of joints, are left to kincal itself."""
     schema = RobotDescription.model_json_schema(by_alias=True)
-    columns = schema["$defs"]["Measure"]["properties"]["columns"]
+    measure = schema["$defs"]["Measure"]["properties"]
+    columns = measure["columns"]
     of_table = columns["additionalProperties"]
     columns["additionalProperties"] = {"anyOf": [{"type": "string"}, of_table]}  # the short form: a name alone
+    measure["columns"] = {"anyOf": [{"enum": list(TEMPLATES)}, columns]}
     return {
         "$schema": "https://json-schema.org/draft/2020-12/schema",
         "$id": ID,

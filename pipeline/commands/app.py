@@ -29,6 +29,7 @@ app = App(
 _COMMANDS = {
     "calibration": ("run", "compare", "inspect", "status", "predict", "compensate", "evaluate"),
     "plan": ("init", "schema", "plan"),
+    "columns": ("columns",),
     "export": ("export",),
     "studies": ("sweep", "reproduce"),
     "sea": ("sea_trial",),

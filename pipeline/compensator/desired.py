@@ -27,7 +27,8 @@ def commands_of(
     Whether a pose can be reached is a matter of each row; see `Commands`.
     """
     model, description = calibrated.model, calibrated.description
-    table = canonical_table(raw, (), description.measure.model_copy(update={"columns": {}}), source)
+    settings = description.measure.of_columns(()).of_other_table()
+    table = canonical_table(raw, (), settings, source)
     desired, known, numbers = _desired(table, calibrated, source)
     solver = solvers.of(calibrated.methods[method], known)
     return commands(solver, desired, model.chain, model.actuators, description.workspace, numbers)

@@ -33,6 +33,9 @@ if TYPE_CHECKING:
     from kincal.pipeline.results import Comparison
     from kincal.pipeline.run.runner import Run
 
+# settings of a table that was read already
+_CANONICAL = ("measure.columns={}", "measure.rotation_vector=false", "measure.skip=[]")
+
 
 class Calibration:
     """A robot with all stages of the pipeline behind it. A stage runs when its result is first asked for.
@@ -564,6 +567,6 @@ def _measured_by(data: Data, session: Run) -> Run:
     content: bytes = table.to_parquet(index=False)
     file, held = session.store.add_table(content)
     weakref.finalize(session, os.close, held)
-    settings = (f"measure.table={json.dumps(str(file))}", 'measure.source="files"', "measure.columns={}")
+    settings = (f"measure.table={json.dumps(str(file))}", 'measure.source="files"', *_CANONICAL)
     session.robot = robot_of(session.robot, settings)
     return session

@@ -170,7 +170,7 @@ def identify(robot: RobotLike, data: Data | None = None, *, progress: StageObser
 
 def measured_table(robot: Robot, model: Model, data: Data) -> Measured:
     """A table that was brought, as the measure stage hands it on. Raises InputError."""
-    from kincal.identification.measurement_table import canonical_table, table_notes
+    from kincal.identification.measurement_table import measured_poses
     from kincal.pipeline.results import Measured
     from kincal.pipeline.stages.campaign import check_measured
     from kincal.pipeline.stages.robot_data import DrawnRobot
@@ -178,9 +178,8 @@ def measured_table(robot: Robot, model: Model, data: Data) -> Measured:
     description = robot.description
     raw, source = raw_table(data, description.measure, "data", description.actuated)
     drawn = DrawnRobot.of(model, description)
-    table = canonical_table(raw, drawn.errors.chain.actuated_names, description.measure, source)
+    table, notes = measured_poses(raw, drawn.errors.chain.actuated_names, description.measure, source)
     check_measured(drawn, table, description.sensor, source)
-    notes = table_notes(raw, drawn.errors.chain.actuated_names, description.measure, source)
     for note in notes:
         logger.warning("%s", note)
     name = source.name if isinstance(source, Path) else source

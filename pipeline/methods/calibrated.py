@@ -79,9 +79,9 @@ class CalibratedRobot:
         return self.calibrated.methods
 
     def table(self, raw: pd.DataFrame, source: Path | str, settings: Measure, measured: bool) -> pd.DataFrame:
-        """A table as somebody brought it -> the canonical one, its readings checked. Raises InputError."""
+        """A table other than the measured one -> the canonical one, its readings checked. Raises InputError."""
         chain = self.model.chain
-        table = canonical_table(raw, chain.actuated_names, settings, source, measured)
+        table = canonical_table(raw, chain.actuated_names, settings.of_other_table(), source, measured)
         check_readings(table, chain, self.model.actuators, self.description.tolerance, source)
         return table
 

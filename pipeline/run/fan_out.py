@@ -103,7 +103,8 @@ def files_of(jobs: Sequence[Job], robots: Sequence[RobotDescription]) -> set[Pat
     files = {Path(job.robot.rpartition(":")[0] if is_unit(job.robot) else job.robot) for job in jobs}
     for robot in robots:
         measure = robot.measure
-        files |= {f for f in (robot.urdf, measure.table, measure.streams, measure.commands) if f is not None}
+        others = (measure.table, measure.joints, measure.streams, measure.commands)
+        files |= {robot.urdf, *(file for file in others if file is not None)}
     return files
 
 

@@ -93,6 +93,7 @@ def _from_files(robot: DrawnRobot, measure: Measure, sensor: Sensor) -> Measured
     """Static poses as a table; joint values and a stream that names poses; or a log and the commands of its time."""
     from kincal.identification.joint_limits import check_readings
     from kincal.identification.measurement_table import noted_table
+    from kincal.identification.skipped_poses import kept, skip_note
     from kincal.identification.streams.campaign import Campaign
     from kincal.identification.streams.reading import read_stream
     from kincal.identification.streams.static_poses import static_poses
@@ -100,8 +101,12 @@ def _from_files(robot: DrawnRobot, measure: Measure, sensor: Sensor) -> Measured
     nominal, tolerance, chain = robot.errors, robot.tolerance, robot.errors.chain
     if measure.commands is not None:
         poses = static_poses(measure, chain.actuated_names)
-        check_readings(poses.table, chain, nominal.actuators, tolerance, measure.commands)
-        return Measured(poses.campaign.health.file, poses.table, poses.stream, None, poses.campaign)
+        numbers, dropped = poses.table["pose"].to_numpy(), (d.pose for d in poses.campaign.dropped)
+        rows = kept(numbers, measure.skip, measure.commands, dropped)
+        table = poses.table[rows].reset_index(drop=True)
+        check_readings(table, chain, nominal.actuators, tolerance, measure.commands)
+        notes = (skip_note(measure.skip, measure.commands),) if measure.skip else ()
+        return Measured(poses.campaign.health.file, table, poses.stream, None, poses.campaign, notes)
     assert measure.table is not None
     settings = measure if measure.streams is None else measure.of_columns(("pose", *chain.actuated_names))
     table, notes = noted_table(measure.table, chain.actuated_names, settings, measured=measure.streams is None)
@@ -110,7 +115,7 @@ def _from_files(robot: DrawnRobot, measure: Measure, sensor: Sensor) -> Measured
         return Measured(measure.table.name, table, None, None, notes=notes)
     check_readings(table, chain, nominal.actuators, tolerance, measure.table)
     stream, health = read_stream(measure.streams, measure)
-    return Measured(health.file, table, stream, None, Campaign(health, None, len(table), len(table), ()))
+    return Measured(health.file, table, stream, None, Campaign(health, None, len(table), len(table), ()), notes)
 
 
 def check_measured(robot: DrawnRobot, table: pd.DataFrame, sensor: Sensor, file: Path | str) -> None:

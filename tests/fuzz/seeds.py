@@ -13,6 +13,7 @@ import numpy as np
 import pandas as pd
 
 from kincal.urdf.description import ROBOTS
+from tests.identification.exports import motive, qualisys
 
 Files = dict[str, bytes]
 DATA = Path(__file__).parents[1] / "data"
@@ -52,6 +53,25 @@ def measured(n: int = 12) -> pd.DataFrame:
     legs = dict(zip(LEGS, random.uniform(0.42, 0.52, (3, n)), strict=True))
     orientation = dict(zip(("qx", "qy", "qz", "qw"), q.T, strict=True))
     return pd.DataFrame({"pose": np.arange(n), **legs, **orientation, "orientation_std": 1e-5})
+
+
+def exports() -> list[Files]:
+    """Frames of motion capture beside joint values that name their frames, windows of them, or none."""
+    table = measured()
+    n = len(table)
+    frames = table[["qx", "qy", "qz", "qw"]].assign(frame=np.arange(n) + 1.0, t=np.arange(n) / 100, x=0.1, y=0.2, z=0.3)
+    joints = table[["pose", *LEGS]]
+    windows = joints.assign(t_from=np.arange(n) / 100 - 0.001, t_to=np.arange(n) / 100 + 0.011)
+    texts = (
+        motive({"platform": frames}),
+        motive({"platform": frames}, "Millimeters", "ZYX"),
+        qualisys({"platform": frames}),
+    )
+    return [
+        {"take.csv": text.encode(), "joints.csv": csv(rows)}
+        for text in texts
+        for rows in (joints, joints.assign(frame=np.arange(n) + 1), windows)
+    ]
 
 
 def stream(n: int = 400, poses: int | None = None) -> pd.DataFrame:

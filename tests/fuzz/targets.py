@@ -168,6 +168,14 @@ def _measured(folder: Path, measured: bool, joints: Sequence[str]) -> None:
         to_measurements(table, joints, Sensor()).as_poses()
 
 
+def _exported(folder: Path) -> None:
+    """An export of motion capture with joint values in a table of their own."""
+    from kincal.identification.measurement_table import noted_table
+    from kincal.urdf.description import Measure
+
+    noted_table(folder / "take.csv", LEGS, Measure(table=folder / "take.csv", joints=folder / "joints.csv"))
+
+
 def _columns(folder: Path) -> None:
     from kincal.urdf.description import read_columns
 
@@ -344,6 +352,7 @@ TARGETS: tuple[Target, ...] = (
         partial(_tables, "pose", "qx", "qy", "qz", "qw"),
         partial(_measured, measured=True, joints=()),
     ),
+    Target("Motive and Qualisys exports", seeds.exports, _exported),
     Target("column map", lambda: [{"columns.toml": _COLUMNS}], _columns, share=0.5),
     *(Target(f"stream: {name}", files, _logged, named=("/case",)) for name, files in _STREAMS.items()),
     Target("stream with poses: csv", lambda: [{"log.csv": seeds.csv(seeds.stream(400, 8))}], _posed),

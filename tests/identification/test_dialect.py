@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 
 from kincal.identification.column_names import matched, misspelt, unused
 from kincal.identification.measurement_table import noted_table, read_table
+from kincal.identification.table_files import load
 from kincal.urdf.description import Measure
 from kincal.urdf.errors import InputError
 
@@ -78,6 +79,18 @@ def test_what_was_recognised_is_named_with_its_key(tmp_path):
         assert key in notes
     file.write_text(written(plain(5, 1), ",", "."))
     assert noted_table(file, JOINTS, Measure(table=file))[1] == ()
+
+
+@pytest.mark.parametrize("separator", [",", ";", "\t"])
+def test_blanks_inside_of_names_separate_nothing(tmp_path, separator):
+    """Not even where the words between them are names that a table has."""
+    table, file = plain(6, 5), tmp_path / "table.csv"
+    foreign = {name: f"Value of {name} now" for name in table if name != "pose"}
+    file.write_text(written(table.rename(columns=foreign), separator, "."))
+    columns = {name: {"from": column} for name, column in foreign.items()}
+    found = read_table(file, JOINTS, Measure.model_validate({"table": file, "columns": columns}))
+    pd.testing.assert_frame_equal(found[list(table)], table, check_dtype=False, rtol=1e-12)
+    assert list(load(file, Measure(table=file))) == ["pose", *foreign.values()]
 
 
 @pytest.mark.parametrize("kind", ["xlsx"])

@@ -98,6 +98,24 @@ def test_a_foreign_table_by_map_units_separator_and_decimal_comma(read):
     np.testing.assert_allclose(found.values["orientation"][0], expected, rtol=0, atol=1e-14)
 
 
+@pytest.mark.parametrize("row, refused", [("", True), ("\n-,in,in,in", False), ("\n-,in,in,-", True)])
+def test_a_unit_for_a_part_of_a_group_is_refused(row, refused):
+    """Nobody measures x in inches and y in metres; a unit that is written out is taken by its word."""
+    content = f"j,x,y,z{row}\n1,100,200,300\n"
+    columns = {"x": {"from": "x", "unit": "in"}}
+    if refused:
+        with pytest.raises(
+            InputError, match=r"x has the unit 'in', but [yz] has no unit: set that of each in measure\.columns"
+        ):
+            _read_text(content, ("j",), columns=columns)
+    else:
+        np.testing.assert_allclose(_read_text(content, ("j",), columns=columns)[["x", "y", "z"]], [[2.54, 5.08, 7.62]])
+    columns |= {"y": {"from": "y", "unit": "m"}, "z": {"from": "z", "unit": "1"}}
+    np.testing.assert_allclose(
+        _read_text("j,x,y,z\n1,1,1,1\n", ("j",), columns=columns)[["x", "y", "z"]], [[0.0254, 1, 1]]
+    )
+
+
 def test_units_of_joints():
     """A revolution is 2 pi, unless the actuator's own unit is meant."""
     content = "j,x,y,z\n2,0,0,0\n"

@@ -62,6 +62,20 @@ def test_poses_from_a_log(write, start, store, virtual, campaign, tmp_path):
         assert measured.campaign.health.checksum == spoiled
 
 
+def test_skipped_poses_of_a_log(start, store, campaign, tmp_path):
+    """By the numbers of the command log, also of a pose that was dropped already."""
+    log, commands = campaign
+    commands.to_csv(tmp_path / "commands.csv", index=False)
+    files = f'measure.streams="{as_nmea(log, tmp_path)}"', f'measure.commands="{tmp_path / "commands.csv"}"'
+    run, _ = start(store, 'measure.source="files"', *files, "measure.skip=[3, 5]")
+    measured, filtered = run.until("measure", "filter")
+    assert filtered.table["pose"].tolist() == [k for k in range(POSES) if k not in (3, 5)]
+    assert any("poses 3, 5: left out by measure.skip" in note for note in measured.notes)
+    run, _ = start(store, 'measure.source="files"', *files, "measure.skip=[99]")
+    with pytest.raises(InputError, match=r"measure\.skip: no pose 99; allowed are 0 to"):
+        run.until("measure")
+
+
 def test_what_the_files_hold_is_part_of_the_key(start, store, campaign, tmp_path):
     """Another byte in a bag's folder or in the command log: the poses are found anew; else they are not."""
     log, commands = campaign

@@ -5,7 +5,8 @@ import tomllib
 import pytest
 from jsonschema import Draft202012Validator
 
-from kincal.urdf.description import ROBOTS
+from kincal.urdf.column_templates import TEMPLATES
+from kincal.urdf.description import ROBOTS, Measure
 from kincal.urdf.schema import robot_schema
 from tests.conftest import DATA
 
@@ -35,6 +36,9 @@ def test_every_robot_is_valid(validator, file):
         (("limits", "mean_mm"), 0.0),
         (("loop",), [{"name": "a", "kind": "welded", "frames": ["a", "b"]}]),
         (("measure", "columns"), {"x": {"from": "meas_x", "unit": "furlong"}}),
+        (("measure", "columns"), "sextant"),
+        (("measure", "euler"), "ZZX"),
+        (("measure", "skip"), ["three"]),
     ],
 )
 def test_mistakes_are_not(validator, path, value):
@@ -50,3 +54,11 @@ def test_the_short_form_of_a_column_is_valid(validator):
     content = tomllib.loads((ROBOTS / "ups3_s" / "robot.toml").read_text())
     content["measure"]["columns"] = {"roll": "Roll", "pitch": {"from": "Pitch", "unit": "deg"}}
     assert not list(validator.iter_errors(content))
+
+
+@pytest.mark.parametrize("name", TEMPLATES)
+def test_a_template_is_valid_and_is_a_column_map(validator, name):
+    content = tomllib.loads((ROBOTS / "ups3_s" / "robot.toml").read_text())
+    content["measure"] = {"table": "t.csv", "columns": name, "skip": [3], "euler": "zyx"}
+    assert not list(validator.iter_errors(content))
+    assert set(Measure.model_validate(content["measure"]).columns) <= {*"xyz", "qx", "qy", "qz", "qw"}
