@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from itertools import combinations
 
 import numpy as np
 
@@ -12,13 +13,17 @@ from kincal.identification.estimators import Estimate, register
 from kincal.identification.identification import HUMAN
 from kincal.identification.likely_causes import Causes, causes_of_small, likely_causes, misfit
 from kincal.identification.measurements import Measurements
+from kincal.identification.mistakes.linear import FRAMES, LinearRobot
 from kincal.identification.registration import MIN_POSES
 from kincal.urdf.errors import CalibrationError, InputError, MovedFarError
 from kincal.urdf.rigid_motion import log
 
 _MISFIT = 16.0  # beyond, a mistake is looked for: four times what tolerances and sigmas allow
 _FLAGGED_BETTER = 1.5  # a mistake explains parameters that moved far if the misfit is so many times smaller without it
+_BETTER = 4.0  # and any other failed fit
+_TOO_SMALL, _AT_ONCE = 2.0, 300  # times: sigmas that are worth a word; poses that tell it
 _SMALL_MISFIT, _SMALL_BETTER = 2.5, 2.0  # and large residuals, where the misfit is larger than that
+_MANY = 0.1  # of the poses
 _CLOSED = 1e-9  # [m, rad] of loops that close, though not on home's branch
 _NOISE = 3.0  # poses that differ by less than so many sigmas excite nothing
 _HARDLY_TOLD = 2.0  # tolerances of one sigma
@@ -36,7 +41,8 @@ class Screening:
     @property
     def finding(self) -> str:
         n = int(np.sum(~self.kept))
-        return f"{n} of {len(self.kept)} poses are left out: {self.causes}" if n else ""
+        many = "; identify.loss = 'huber' would keep them, with less weight" if n > _MANY * len(self.kept) else ""
+        return f"{n} of {len(self.kept)} poses are left out: {self.causes}{many}" if n else ""
 
 
 def screened(model: ErrorModel, measured: Measurements, reject_outliers: bool = True) -> Screening:
@@ -48,19 +54,35 @@ def screened(model: ErrorModel, measured: Measurements, reject_outliers: bool = 
     _check_spread(model, measured)
     size = misfit(model, measured)
     everything = np.ones(len(measured), dtype=bool)
+    copies = copied_columns(measured) if size > _MISFIT else ""
+    if copies:
+        raise InputError(f"measurements: {_far(size)}; likely cause: {copies}")
     causes = likely_causes(model, measured, size) if size > _MISFIT else None
     if causes is not None and causes.wrong and reject_outliers:
         return Screening(~np.isin(measured.pose, causes.wrong), str(causes), causes.misfit)
     if np.isinf(size):
         _check_closed(model, measured, causes)
-    if causes is None:
+    if causes is None or causes.lasting:
         return Screening(everything, "", size)
-    leave_out = "; leave these poses out, or set identify.reject_outliers = true" if causes.wrong else ""
-    far = f"{np.sqrt(size):.3g} times farther from the drawing than [tolerance] and [sensor] explain"
-    raise InputError(
-        f"measurements: {far if np.isfinite(size) else 'no robot near the drawing can have made them'}; "
-        f"likely cause: {causes}{leave_out}"
-    )
+    cure = "; measure.skip leaves poses out, and so does identify.reject_outliers = true" if causes.wrong else ""
+    raise InputError(f"measurements: {_far(size)}; likely cause: {causes}{cure}")
+
+
+def _far(size: float) -> str:
+    if not np.isfinite(size):
+        return "no robot near the drawing can have made them"
+    return f"{np.sqrt(size):.3g} times farther from the drawing than [tolerance] and [sensor] explain"
+
+
+def copied_columns(measured: Measurements) -> str:
+    """Which measured column repeats another bit for bit, in words; empty: none does."""
+    columns = {}
+    for channel in named(measured.channels):
+        columns |= channel.write(measured.values[channel.name])
+    for (first, values), (second, others) in combinations(columns.items(), 2):
+        if np.ptp(values) > 0 and np.array_equal(values, others):
+            return f"the columns {first} and {second} hold the same values at every pose: one is a copy"
+    return ""
 
 
 def registered(model: ErrorModel, measured: Measurements, max_iterations: int) -> Estimate:
@@ -71,12 +93,27 @@ def registered(model: ErrorModel, measured: Measurements, max_iterations: int) -
 
 def explained(model: ErrorModel, measured: Measurements, error: CalibrationError) -> CalibrationError:
     """A failed fit with its likely cause, where one is known; a parameter that moved far is then not to blame."""
-    causes = likely_causes(model, measured, misfit(model, measured))
-    if causes is None:
-        return error
-    reason = error.reason if isinstance(error, MovedFarError) else str(error)
-    error.args = (f"{reason}; likely cause: {causes}",)
+    moved = isinstance(error, MovedFarError)
+    causes = likely_causes(model, measured, misfit(model, measured), _FLAGGED_BETTER if moved else _BETTER)
+    cause = str(causes) if causes is not None else too_small_sigmas(model, measured) if moved else ""
+    if cause:
+        error.args = (f"{error.reason if moved else error}; likely cause: {cause}",)
     return error
+
+
+def too_small_sigmas(model: ErrorModel, measured: Measurements) -> str:
+    """In words, where with larger sigmas the residuals fit them and no parameter moves far; empty: not so."""
+    robot = LinearRobot.of(model, measured[:_AT_ONCE])
+    factor = robot.sigmas_that_fit()
+    if factor < _TOO_SMALL:
+        return ""
+    _, step = replace(robot, residual=robot.residual / factor, jacobian=robot.jacobian / factor).solved(
+        np.ones(len(robot.residual))
+    )
+    if np.max(np.abs(step[:-FRAMES])) > FLAGGED:
+        return ""
+    times = f"{float(f'{factor:.2g}'):g} times larger no parameter moves by {FLAGGED:g} tolerances"
+    return f"the sigmas of [sensor] are too small: {times}"
 
 
 def cause_of_misfit(model: ErrorModel, measured: Measurements, p: np.ndarray, size: float) -> str:
@@ -85,10 +122,13 @@ def cause_of_misfit(model: ErrorModel, measured: Measurements, p: np.ndarray, si
     p: the parameters that were identified; size: the misfit of the drawing.
     """
     if np.max(np.abs(p / model.parameters.tolerance)) > FLAGGED:
-        causes = likely_causes(model, measured, size, _FLAGGED_BETTER)
-        return "" if causes is None else f"parameters moved far; likely cause: {causes}"
-    causes = causes_of_small(model, measured, size, _SMALL_BETTER) if size > _SMALL_MISFIT else None
-    return "" if causes is None else f"residuals are large; likely cause: {causes}"
+        causes, what = likely_causes(model, measured, size, _FLAGGED_BETTER), "parameters moved far"
+    else:
+        small = size > _SMALL_MISFIT
+        causes = causes_of_small(model, measured, size, _SMALL_BETTER) if small else None
+        what = "residuals are large"
+    # of a drift alone, `drift_finding` tells
+    return "" if causes is None or causes.lasting else f"{what}; likely cause: {causes}"
 
 
 def _check_closed(model: ErrorModel, measured: Measurements, causes: Causes | None) -> None:

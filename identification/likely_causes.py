@@ -17,6 +17,7 @@ from kincal.identification.channels import named
 from kincal.identification.error_model import ErrorModel, pose_residual
 from kincal.identification.measurements import Measurements
 from kincal.identification.mistakes import ROWS, TRANSFORMS, VALUES
+from kincal.identification.mistakes.drift import drifting_part
 from kincal.identification.mistakes.linear import LinearRobot
 from kincal.identification.mistakes.mistake import Kind, Mistake
 from kincal.identification.mistakes.moved import moved_part
@@ -48,6 +49,11 @@ class Causes:
     def wrong(self) -> tuple[int, ...]:
         """The poses without which all is well, where a cause says so of some."""
         return self.mistakes[0].wrong
+
+    @property
+    def lasting(self) -> bool:
+        """Whether a fit tells of the likeliest, so that nothing need be refused."""
+        return self.mistakes[0].lasting
 
     def __str__(self) -> str:
         """Causes; several that a symmetry makes one are named once."""
@@ -85,7 +91,7 @@ def causes_of_small(model: ErrorModel, measured: Measurements, now: float, bette
     except Failed:
         return None
     pose = robot.at.robot.measured(robot.at.tool)
-    likely = [(mistake, rows) for mistake in _all((moved_part,), model, rows)]
+    likely = [(mistake, rows) for mistake in _all((moved_part, drifting_part), model, rows)]
     for mistake in _all(VALUES, model, some):
         residual = pose_residual(pose, mistake.undone(some))  # the derivatives are those of what was predicted
         if replace(robot, residual=residual).misfit * better < now:

@@ -19,6 +19,8 @@ from kincal.urdf.description import Identify
 from kincal.urdf.errors import CalibrationError, MovedFarError
 
 _OUTLIER = 1e-5  # the probability that a good pose looks like one
+_WIDE, _FEWEST_TOLD, _TOLD = 10.0, 8, 0.2  # tolerances so many times too wide, by so many parameters, of such a share
+_MEDIAN = 0.6745  # of the size of a standard normal deviate
 _SURPRISE = 1e-6  # of a chi-square: less likely is a finding
 
 
@@ -80,7 +82,7 @@ def summarise(
         degrees_of_freedom=freedom,
         residual_size=size,
         outliers=outliers,
-        findings=(*explained, *_moved(model, estimate, np.sqrt(variance), explained)),
+        findings=(*explained, *_moved(model, estimate, np.sqrt(variance), explained), *_tolerance(model, estimate)),
     )
 
 
@@ -120,6 +122,21 @@ def _verdict(
             f"residuals are only {larger:.3g} times the sensors' sigmas: the sensors are better than [sensor] states",
         )
     return ()
+
+
+def _tolerance(model: ErrorModel, estimate: Estimate) -> tuple[str, ...]:
+    """A word where what the data determine moved much less than the tolerances allow."""
+    told = estimate.resolution[:-12] > _TOLD
+    if np.sum(told) < _FEWEST_TOLD:
+        return ()
+    sizes = estimate.p[:-12] / model.parameters.tolerance[:-12] / np.sqrt(np.maximum(estimate.resolution[:-12], _TOLD))
+    moved = float(np.median(np.abs(sizes[told]))) / _MEDIAN
+    if moved * _WIDE > 1:
+        return ()
+    times = float(f"{1 / max(moved, 1e-12):.1g}")
+    return (
+        f"the identified changes are about {times:g} times smaller than [tolerance]: give the tolerances of your shop",
+    )
 
 
 def _moved(model: ErrorModel, estimate: Estimate, std: np.ndarray, explained: tuple[str, ...]) -> tuple[str, ...]:

@@ -74,7 +74,8 @@ def drift_finding(
     causes = [d for d in likely if d.chi_square < best + max(best, freedom)]  # beyond, the other is far likelier
     if any(len(d.columns) == 1 for d in causes):  # of drifts that explain as much, those of one actuator alone
         causes = [d for d in causes if not np.isin(zeros, d.columns).all() or len(zeros) == 1]
-    return f"likely cause: {', or '.join(d.named(model) for d in causes)}"
+    drifts = ", or ".join(drift.named(model) for drift in causes)
+    return f"likely cause: {drifts}; 95 % regions do not know of it, and can't be trusted"
 
 
 def _drift(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from kincal.identification.mistakes.axes import mirrored_axis, swapped_axes
 from kincal.identification.mistakes.degrees import degrees
+from kincal.identification.mistakes.drift import drifting_part
 from kincal.identification.mistakes.instrument import instrument_scale
 from kincal.identification.mistakes.joints import common_scale, joint_gains, joint_signs, joint_units, joint_zeros
 from kincal.identification.mistakes.mistake import Kind
@@ -45,4 +46,5 @@ ROWS: tuple[Kind, ...] = (  # of some rows, or of their order
     late_from_some_row,
     wrong_poses,
     moved_part,
+    drifting_part,
 )

@@ -21,10 +21,13 @@ _ANGLES = {"degrees": np.pi / 180, "revolutions": 2 * np.pi}
 
 
 def joint_signs(model: ErrorModel, measured: Measurements) -> Iterator[Mistake]:
-    """One joint that counts the other way round, from any zero."""
+    """One joint that counts the other way round, from any zero; and all of them."""
     for j, name in enumerate(model.chain.actuated_names):
         cause = f"{name} counts the other way round (the sign of actuator.{name}.gain)"
         yield Mistake(cause, lambda m, j=j: _reversed(model, m, j))
+    gains = ", ".join(f"actuator.{name}.gain" for name in model.chain.actuated_names)
+    for middle in (False, True):
+        yield Mistake(f"all joints count the other way round (the signs of {gains})", lambda m, a=middle: _turned(m, a))
 
 
 def joint_zeros(model: ErrorModel, measured: Measurements) -> Iterator[Mistake]:
@@ -77,6 +80,12 @@ def _best_factor(model: ErrorModel, measured: Measurements, joint: int) -> float
 
 def _regained(model: ErrorModel, m: Measurements, joints: tuple[int, ...], factor: float) -> Measurements:
     return refitted(model, m, lambda x: _scaled(m, joints, factor * (1 + x)), _SMALL)
+
+
+def _turned(m: Measurements, about_middle: bool) -> Measurements:
+    """All joints, about zero or about the middle of their readings."""
+    about = m.readings.min(axis=0) + m.readings.max(axis=0) if about_middle else 0.0
+    return replace(m, readings=about - m.readings)
 
 
 def _reversed(model: ErrorModel, m: Measurements, joint: int) -> Measurements:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -15,6 +15,7 @@ from kincal.identification.mistakes.registered import Registered, registered
 
 _FLAT = 0.1  # sigma of W's and T's steps beside the registered ones [m, rad]
 FRAMES = 12
+_ROUNDS, _SETTLED = 30, 0.01
 
 
 @dataclass(frozen=True)
@@ -50,6 +51,18 @@ class LinearRobot:
         _, step = self.solved(np.ones(len(self.residual)))
         left = self.residual + self.jacobian @ step
         return float(np.sum(left**2) + np.sum(step[:-FRAMES] ** 2)) / self.freedom
+
+    def sigmas_that_fit(self) -> float:
+        """By how much all sigmas are to be multiplied for residuals, after the fit, that are as large as they."""
+        factor = 1.0
+        for _ in range(_ROUNDS):
+            scaled = replace(self, residual=self.residual / factor, jacobian=self.jacobian / factor)
+            step = scaled.solved(np.ones(len(self.residual)))[1]
+            change = float(np.sqrt(np.sum((scaled.residual + scaled.jacobian @ step) ** 2) / self.freedom))
+            factor *= change
+            if abs(change - 1) < _SETTLED:
+                break
+        return factor
 
     def misfit_nearby(self, model: ErrorModel, measured: Measurements) -> float:
         """The misfit by derivatives at the minimum that `misfit` supposes: of a robot far from its drawing, smaller.

@@ -20,6 +20,7 @@ class Mistake:
     undone: Callable[[Measurements], Measurements]
     alike: str = ""  # words for several of its kind, where a symmetry makes them one
     wrong: tuple[int, ...] = ()  # the poses that it says are wrong; empty: all are, or none
+    lasting: bool = False  # the fit goes on, and a finding tells of it
     rows: int = 0  # how many poses it leaves out
     general: int = 0  # of those that explain as much, the least general say most
 

@@ -22,14 +22,19 @@ def other_notation(model: ErrorModel, measured: Measurements) -> Iterator[Mistak
     """A rotation vector, fixed axes, another order of axes; angles by their axis, or in the order of the rotations."""
     if "orientation" not in measured.values:
         return
-    yield Mistake("rx, ry, rz hold a rotation vector, not intrinsic XYZ angles", lambda m: _read(model, m, None))
+    yield Mistake(
+        "rx, ry, rz hold a rotation vector, not intrinsic XYZ angles (measure.rotation_vector = true)",
+        lambda m: _read(model, m, None),
+    )
     for order in _OTHERS:
         fixed = "".join(reversed(order))
         cause = f"rx, ry, rz are angles about fixed axes in the order {fixed} (intrinsic {order}), not intrinsic XYZ"
+        cause += f' (measure.euler = "{order}")'
         yield Mistake(cause, lambda m, o=order: _read(model, m, o))
     for order in _PROPER:
         for columns, names in (((2, 1, 0), "rz, ry, rx"), ((0, 1, 2), "rx, ry, rz")):
             cause = f"{names} are Euler angles {order}, not intrinsic XYZ angles"
+            cause += f' (measure.euler = "{order}", columns euler_1, euler_2, euler_3)'
             yield Mistake(cause, lambda m, o=order, c=columns: _read(model, m, o, c))
 
 

@@ -17,7 +17,7 @@ from kincal.urdf.description import listed
 _LATE = (1, -1, 2, -2, 3, -3)  # rows
 _FEWEST = 8  # rows of each part
 _MOVED = 10.0  # sigmas
-_STUCK = 3  # readings in a row that are the same bit for bit
+_STUCK = 2  # readings in a row that are the same bit for bit
 
 
 def late_rows(model: ErrorModel, measured: Measurements) -> Iterator[Mistake]:
@@ -98,7 +98,8 @@ def stuck_joints(model: ErrorModel, measured: Measurements) -> Iterator[Mistake]
         if wrong.any() and not wrong.all():
             first = measured.pose[np.argmax(wrong)]
             count = int(wrong.sum())
-            cause = f"the reading of {name} is stuck from pose {first} on, at {count} poses, while the robot moves"
+            where = f"at {count} pose{'s' * (count > 1)}"
+            cause = f"the reading of {name} is stuck from pose {first} on, {where}, while the robot moves"
             yield replace(of_rows(cause, measured, wrong), wrong=())
 
 

@@ -132,4 +132,7 @@ def check_measured(robot: DrawnRobot, table: pd.DataFrame, sensor: Sensor, file:
     if error is None:
         return
     causes = likely_causes(model, to_measurements(table, model.chain.actuated_names, sensor), math.inf)
-    raise error if causes is None else TableError(f"{error}; likely cause: {causes}", error.column, error.row)
+    if causes is None:
+        raise error
+    beyond = str(error).partition("; is it in ")[0]
+    raise TableError(f"{beyond}; likely cause: {causes}", error.column, error.row)
