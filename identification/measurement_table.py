@@ -15,7 +15,7 @@ from kincal.identification.table_files import floats, load
 from kincal.urdf.actuators import Actuators
 from kincal.urdf.closed_chain import ClosedChain
 from kincal.urdf.description import Column, Measure, Tolerance, listed, nearest
-from kincal.urdf.errors import InputError, TableError
+from kincal.urdf.errors import InputError, TableError, quoted
 
 UNITS = {"m": 1.0, "mm": 1e-3, "cm": 1e-2, "in": 0.0254, "rad": 1.0, "deg": np.pi / 180, "rev": 2 * np.pi, "1": 1.0}
 _GROUPS = tuple(group for c in CHANNELS for group in (c.columns, *c.other_columns))
@@ -51,7 +51,7 @@ def canonical_table(
     for name in measure.columns:
         if name not in known:
             raise InputError(
-                f"{file}: measure.columns: {name!r} is no column of a measurement table; {nearest(name, known)}"
+                f"{file}: measure.columns: {quoted(name)} is no column of a measurement table; {nearest(name, known)}"
             )
     rows = np.arange(len(raw))
     if measured:
@@ -66,7 +66,7 @@ def canonical_table(
             columns[name] = numbers(values.tolist(), sources[name], file, rows)
         elif name in measure.columns or name in joints:
             source, has = measure.columns[name].source if name in measure.columns else name, listed(raw.columns)
-            raise TableError(f"{file}: column {source!r} ({name}) is missing; it has {has}", source)
+            raise TableError(f"{file}: column {quoted(source)} ({name}) is missing; it has {has}", source)
     if measured:
         _check_spelling(raw.columns, sources, known, file)
     _check_groups(columns, file, measured)
@@ -134,7 +134,8 @@ def _check_spelling(
     near = misspelt(unused([str(name) for name in present], used), set(known) - set(sources))
     if near is not None:
         raise TableError(
-            f"{file}: column {near[0]!r} is not used; did you mean {near[1]!r}? Rename the column, or delete it",
+            f"{file}: column {quoted(near[0])} is not used; did you mean {quoted(near[1])}? "
+            "Rename the column, or delete it",
             near[0],
         )
 
@@ -154,7 +155,8 @@ def numbers(
         if np.isfinite(values_read[row]):
             allowed = f"finite numbers below {_LARGEST:g}"
         number = int(row if rows is None else rows[row])
-        message = f"{file}: column {column.source!r}, row {number + 1}: found {values[row]!r}; allowed are {allowed}"
+        place = f"{file}: column {quoted(column.source)}, row {number + 1}"
+        message = f"{place}: found {quoted(values[row])}; allowed are {allowed}"
         if isinstance(values[row], str) and str(values[row]).strip().isalpha():
             message += ". A row that is no pose, such as a summary, must be deleted"
         raise TableError(message, column.source, number)
@@ -193,7 +195,7 @@ def _refuse(bad: np.ndarray, file: Path | str, column: str, values: np.ndarray, 
     if bad.any():
         row = int(np.argmax(bad))
         raise TableError(
-            f"{file}: column {column!r}, row {row + 1}: found {values[row]:g}; allowed are {allowed}", column, row
+            f"{file}: column {quoted(column)}, row {row + 1}: found {values[row]:g}; allowed are {allowed}", column, row
         )
 
 
@@ -214,7 +216,7 @@ def check_readings(
             smaller = next((u for u in ("mm", "deg") if low[row] <= values[row] * UNITS[u] <= high[row]), None)
             hint = f"; is it in {smaller}? (measure.columns gives a column's unit)" if smaller else ""
             message = (
-                f"{file}: pose {table['pose'][row]}: joint {name!r} would be at {values[row]:.6g} {unit}; "
+                f"{file}: pose {table['pose'][row]}: joint {quoted(name)} would be at {values[row]:.6g} {unit}; "
                 f"its limits are [{chain.lower[joint]:.6g}, {chain.upper[joint]:.6g}]{hint}"
             )
             raise TableError(message, name, int(row))

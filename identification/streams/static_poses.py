@@ -17,7 +17,7 @@ from kincal.identification.streams.repeats import STUCK
 from kincal.identification.streams.stillness import binned
 from kincal.identification.streams.windows import Window, still_windows
 from kincal.urdf.description import Measure
-from kincal.urdf.errors import InputError
+from kincal.urdf.errors import InputError, quoted
 
 _LEAST = 5  # samples a pose
 
@@ -93,5 +93,5 @@ def _unusable(samples: pd.DataFrame, poses: list[int]) -> list[DroppedPose]:
     values = samples.groupby("pose")[[c for c in ANGLES if c in samples]].nunique()
     for channel in values:
         for p in pose[(np.asarray(values[channel]) == 1) & (count >= STUCK)].tolist():
-            dropped[p] = f"channel {channel!r} is stuck for all {counts[p]} samples"
+            dropped[p] = f"channel {quoted(channel)} is stuck for all {counts[p]} samples"
     return [DroppedPose(p, reason) for p, reason in dropped.items()]

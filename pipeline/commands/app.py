@@ -45,7 +45,7 @@ class _Warnings(logging.Handler):
     """What the library warns of, on stderr."""
 
     def emit(self, record: logging.LogRecord) -> None:
-        err.print(Text(f"warning: {record.getMessage()}", style="yellow"), soft_wrap=True)
+        err.print(Text(f"warning: {one_line(record.getMessage())}", style="yellow"), soft_wrap=True)
 
 
 def main(arguments: list[str] | None = None) -> None:
