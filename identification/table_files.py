@@ -16,10 +16,11 @@ import pandas as pd
 
 from kincal.identification.channels import CHANNELS
 from kincal.identification.dialect import recognised
+from kincal.identification.workbook_size import check_workbook
 from kincal.identification.workbooks import WORKBOOKS, workbook
 from kincal.urdf.description import Measure
 from kincal.urdf.errors import InputError, quoted, shortened
-from kincal.urdf.input_files import bounded, check_file, unreadable
+from kincal.urdf.input_files import MAX_UNPACKED, bounded, check_file, unreadable
 
 if TYPE_CHECKING:
     from pyarrow.parquet import ParquetFile
@@ -46,6 +47,7 @@ def load(file: Path, measure: Measure, wanted: Sequence[str] = ()) -> pd.DataFra
         if file.suffix.lower() in (".parquet", ".pq"):
             return _parquet(file)
         if file.suffix.lower() in WORKBOOKS:
+            check_workbook(file)
             return workbook(file, measure, names)
         return _text(file, measure, names)
 
@@ -190,6 +192,9 @@ def _is_text(kind: Any) -> bool:
 def _parquet(file: Path) -> pd.DataFrame:
     with parquet(file) as (opened, names):
         _check_size(file, opened.metadata.num_rows, len(names))
+        unpacked = sum(opened.metadata.row_group(k).total_byte_size for k in range(opened.metadata.num_row_groups))
+        if unpacked > MAX_UNPACKED:
+            raise InputError(f"{file}: it unpacks to {unpacked >> 20} MB; allowed are {MAX_UNPACKED >> 20}")
         with bounded(file):
             return decoded(file, opened.read(columns=names, use_threads=False))
 
