@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from kincal.pipeline.run.workers import InProcess, JobExecutor, Workers, WorkersLost
+from kincal.pipeline.store.ownership import warn_of_others
 from kincal.urdf.errors import CalibrationError, InputError
 
 MOST_WORKERS = 1024
@@ -39,6 +40,7 @@ def executor(on: Place, store: Path, files: Iterable[Path] = ()) -> Iterator[Job
 
     store, files: what a cluster's workers must see at the same paths.
     """
+    warn_of_others(store)
     if on.scheduler is not None:
         from kincal.pipeline.run.dask_workers import DaskWorkers
 
