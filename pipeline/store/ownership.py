@@ -10,7 +10,7 @@ from pathlib import Path
 
 PROMISE = (
     "A seal promises that an artifact is unchanged since kincal wrote it. "
-    "It is no signature: whoever can write the store can write both, results and seals."
+    "It is no signature: a user who can write the store can write results and seals."
 )
 _warned: set[str] = set()  # of this process
 

@@ -79,4 +79,4 @@ def test_verify_says_what_a_seal_promises(cli, tmp_path):
     assert answer.status == 0
     promise, limit = answer.out.splitlines()[-1].split(". ")
     assert promise == "A seal promises that an artifact is unchanged since kincal wrote it"
-    assert limit == "It is no signature: whoever can write the store can write both, results and seals."
+    assert limit == "It is no signature: a user who can write the store can write results and seals."
