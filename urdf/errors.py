@@ -4,6 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
+OUT_OF_MEMORY = (
+    "out of memory; finished results stay in the store. Close other programs, use fewer workers (--on), or less data: "
+    "fewer poses, a shorter stream"
+)
 _LONGEST = 1000  # letters of a message: a list of names may be long
 MOST_SHOWN = 80  # letters that a message shows of a text or a list
 _QUOTED = 50  # of a value: a message that names it twice still shows no more than MOST_SHOWN

@@ -13,7 +13,7 @@ from rich.text import Text
 
 from kincal.pipeline.commands.console import PipedConsole
 from kincal.pipeline.interface.progress import err
-from kincal.urdf.errors import CalibrationError, InputError, of_system, one_line
+from kincal.urdf.errors import OUT_OF_MEMORY, CalibrationError, InputError, of_system, one_line
 from kincal.version import __version__
 
 app = App(
@@ -75,6 +75,8 @@ def _status(call: Callable[[], Any]) -> int:
         return _say(str(error), 1)
     except KeyboardInterrupt:
         return _say("interrupted", 130)
+    except MemoryError:
+        return _say(OUT_OF_MEMORY, 1)
     except BrokenPipeError:
         sys.stderr.close()
         return 0

@@ -61,8 +61,7 @@ class DaskWorkers(JobExecutor):
 
     def __init__(self, address: str, store: Path, files: Sequence[Path], protocol: str = "tcp") -> None:
         self._label = f"--on {'tls' if protocol == 'tls' else 'dask'}://{address}"
-        for name in ("distributed", "tornado", "asyncio"):  # what goes wrong is said in one line
-            logging.getLogger(name).setLevel(logging.CRITICAL)
+        _silence("distributed", "tornado", "asyncio")
         self._store, self._files = store, files
         self._client = self._connected(f"{protocol}://{address}")
         try:
@@ -255,6 +254,13 @@ class DaskWorkers(JobExecutor):
             token.unlink(missing_ok=True)
         gone = {worker for worker, answer in answers.items() if isinstance(answer, OSError)}
         return {worker: _problem(answers[worker], facts) for worker in answers if worker not in gone}
+
+
+def _silence(*libraries: str) -> None:
+    """What goes wrong is said in one line. Dask gives its loggers levels of their own."""
+    for name in (*libraries, *logging.root.manager.loggerDict):
+        if name.partition(".")[0] in libraries:
+            logging.getLogger(name).setLevel(logging.CRITICAL)
 
 
 def _problem(answer: Any, facts: dict[str, str]) -> str | None:
