@@ -16,8 +16,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ParamSpec, TypeVar
 
+import dask.config
 from distributed import Client
 from distributed.scheduler import KilledWorker
+from distributed.security import Security
 
 from kincal.pipeline.run.dask_jobs import OtherCode
 from kincal.pipeline.run.dask_jobs import answer as _answer
@@ -100,16 +102,23 @@ class DaskWorkers(JobExecutor):
     def _connected(self, address: str) -> Client:
         """With Dask's own settings of security. Raises InputError."""
         secure = address.startswith("tls:")
+        if secure and not dask.config.get("distributed.client.security-loader"):
+            self._check_certificates()
         try:
             return Client(address, timeout=_PATIENCE, set_as_default=False, name="kincal")
-        except TypeError as error:
-            if not secure:
-                raise
-            raise InputError(f"{self._label}: no certificates ({error}); set {_TLS} in Dask's configuration") from None
         except (OSError, ValueError) as error:
             more = f", or it does not accept the certificates of {_TLS}" if secure else ""
             kind = type(error).__name__
             raise InputError(f"{self._label}: no Dask scheduler answers there ({kind}){more}") from None
+
+    def _check_certificates(self) -> None:
+        """A client that learns of it as it connects takes 20 s to close."""
+        try:
+            context = Security().get_connection_args("client").get("ssl_context")
+        except (OSError, ValueError) as error:  # a file that is not there, or holds no certificate
+            raise InputError(f"{self._label}: {_TLS}: can't be read: {error}") from None
+        if context is None:
+            raise InputError(f"{self._label}: Dask has no certificates; set {_TLS} in its configuration")
 
     def _present(self) -> Collection[str]:
         return self._client.scheduler_info(n_workers=-1)["workers"]
