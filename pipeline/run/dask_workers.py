@@ -217,7 +217,13 @@ class DaskWorkers(JobExecutor):
                     self._send(job)
 
     def _examine(self, workers: Iterable[str]) -> None:
-        for worker, problem in self._problems(self._facts, list(workers)).items():
+        problems: dict[str, str | None] = {}
+        for worker in workers:
+            try:
+                problems |= self._problems(self._facts, [worker])
+            except Exception as error:  # an answer that Dask can't read, as of another Python
+                problems[worker] = f"can't run kincal: {type(error).__name__}"
+        for worker, problem in problems.items():
             if problem is None:
                 self._fit.add(worker)
             else:
