@@ -68,6 +68,9 @@ class DaskWorkers(JobExecutor):
         self._client = self._connected(f"{protocol}://{address}")
         try:
             self._facts, self._fit = self._same_everywhere()
+        except OSError as error:
+            self._client.close(timeout=1)
+            raise InputError(f"{self._label}: the scheduler is gone ({type(error).__name__})") from None
         except BaseException:
             self._client.close(timeout=1)
             raise

@@ -61,4 +61,4 @@ def test_an_artifact_that_does_not_fit_into_memory_is_not_damaged(cli, monkeypat
         patched.setattr(of_store, "decode", fails)
         one_line(cli("run", "ups3_s", "--until", "model", "--store", store))
     assert not (store / "damaged").exists()
-    assert "cached" in cli("run", "ups3_s", "--until", "model", "--store", store).out
+    assert "cached" in cli("run", "ups3_s", "--until", "model", "--store", store).err
