@@ -38,6 +38,22 @@ def facts(store: Path) -> dict[str, str]:
     return known | {"library, python": f"{sys.version_info.major}.{sys.version_info.minor}"}
 
 
+def problem_of(answer: Any, here: dict[str, str]) -> str | None:
+    """Why a worker that answered can't have jobs; None: it can. here: the facts of who asks."""
+    if isinstance(answer, Exception):
+        return f"can't run kincal: {answer}"
+    theirs, unseen = answer
+    if unseen is not None:
+        return f"does not see, or may not write, {unseen}: workers share it by its path"
+    changed = [name for name in {**here, **theirs} if here.get(name) != theirs.get(name)]
+    if not changed:
+        return None
+    name = changed[0]
+    versions = f" ({theirs.get(name)}, here {here.get(name)})" if name.startswith("library") else ""
+    more = f" and {len(changed) - 1} more" if len(changed) > 1 else ""
+    return f"has another {name}{versions}{more}: the same on all sides, then restart it"
+
+
 # In the worker
 
 _IMPORTED = ("pinocchio", "casadi", "pandas", "torch")  # by the stages, and slowly

@@ -21,7 +21,7 @@ from distributed import Client
 from distributed.scheduler import KilledWorker
 from distributed.security import Security
 
-from kincal.pipeline.run.dask_jobs import OtherCode
+from kincal.pipeline.run.dask_jobs import OtherCode, problem_of
 from kincal.pipeline.run.dask_jobs import answer as _answer
 from kincal.pipeline.run.dask_jobs import begin_importing as _begin_importing
 from kincal.pipeline.run.dask_jobs import carry_out as _carry_out
@@ -207,17 +207,20 @@ class DaskWorkers(JobExecutor):
             others = present - self._fit - self._turned_away
         if others:
             self._examine(others)
+        left: list[Future[Any]] = []
         with self._lock:
             for job in list(self._waiting):
-                if job.sent is not None and job.workers & present:
-                    continue
-                left, job.sent = job.sent, None
-                if left is not None:
-                    left.cancel()
+                if job.sent is not None:
+                    if job.workers & present:
+                        continue
+                    left.append(job.sent)
+                    job.sent = None
                 if job.tries >= _TRIES:
                     self._settle(job, self._died())
                 else:
                     self._send(job)
+        for sent in left:  # without the lock: it waits for Dask's thread, which may wait for the lock
+            sent.cancel()
 
     def _examine(self, workers: Iterable[str]) -> None:
         problems: dict[str, str | None] = {}
@@ -226,11 +229,12 @@ class DaskWorkers(JobExecutor):
                 problems |= self._problems(self._facts, [worker])
             except Exception as error:  # an answer that Dask can't read, as of another Python
                 problems[worker] = f"can't run kincal: {type(error).__name__}"
-        for worker, problem in problems.items():
-            if problem is None:
-                self._fit.add(worker)
-            else:
-                self._turn_away(worker, problem)
+        with self._lock:
+            for worker, problem in problems.items():
+                if problem is None:
+                    self._fit.add(worker)
+                else:
+                    self._turn_away(worker, problem)
 
     def _turn_away(self, worker: str, problem: str) -> None:
         if worker not in self._turned_away:
@@ -271,7 +275,7 @@ class DaskWorkers(JobExecutor):
         finally:
             token.unlink(missing_ok=True)
         gone = {worker for worker, answer in answers.items() if isinstance(answer, OSError)}
-        return {worker: _problem(answers[worker], facts) for worker in answers if worker not in gone}
+        return {worker: problem_of(answers[worker], facts) for worker in answers if worker not in gone}
 
 
 def _silence(*libraries: str) -> None:
@@ -279,18 +283,3 @@ def _silence(*libraries: str) -> None:
     for name in (*libraries, *logging.root.manager.loggerDict):
         if name.partition(".")[0] in libraries:
             logging.getLogger(name).setLevel(logging.CRITICAL)
-
-
-def _problem(answer: Any, facts: dict[str, str]) -> str | None:
-    if isinstance(answer, Exception):
-        return f"can't run kincal: {answer}"
-    theirs, unseen = answer
-    if unseen is not None:
-        return f"does not see, or may not write, {unseen}: workers share it by its path"
-    changed = [name for name in {**facts, **theirs} if facts.get(name) != theirs.get(name)]
-    if not changed:
-        return None
-    name = changed[0]
-    versions = f" ({theirs.get(name)}, here {facts.get(name)})" if name.startswith("library") else ""
-    more = f" and {len(changed) - 1} more" if len(changed) > 1 else ""
-    return f"has another {name}{versions}{more}: the same on all sides, then restart it"

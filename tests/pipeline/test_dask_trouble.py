@@ -10,7 +10,7 @@ import sys
 import time
 from pathlib import Path
 
-import dask
+import dask.config
 import pytest
 
 from kincal.pipeline.run import dask_workers
