@@ -14,8 +14,8 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from kincal.urdf.description import Measure
-from kincal.urdf.errors import InputError
+from kincal.urdf.description import Measure, listed
+from kincal.urdf.errors import InputError, quoted
 
 SEPARATORS = (",", ";", "\t", "|", " ")
 _HEAD = 1 << 16  # bytes that are looked at
@@ -73,7 +73,8 @@ def encoding_of(file: Path, measure: Measure, head: bytes) -> str:
         codecs.lookup(encoding)
     except LookupError:
         raise InputError(
-            f"{file}: measure.encoding: {encoding!r} is unknown; allowed are utf-8, utf-16, cp1252 and others of Python"
+            f"{file}: measure.encoding: {quoted(encoding)} is unknown; allowed are utf-8, utf-16, cp1252 and others of "
+            "Python"
         ) from None
     return encoding
 
@@ -105,7 +106,7 @@ def _block(lines: Sequence[str], columns: Sequence[str]) -> str:
         return "a Motive export: its columns are named by several lines, and it has no joint values"
     repeated = sorted({name for name in columns if name and columns.count(name) > 1})
     if len(repeated) > 1:
-        return f"columns {', '.join(repeated[:6])} appear several times: a header of several lines"
+        return f"columns {listed(repeated)} appear several times: a header of several lines"
     return ""
 
 
@@ -196,8 +197,8 @@ def _notes(file: Path, measure: Measure, found: Dialect, row: int) -> Iterator[s
     if measure.header_row is None and row > 0:
         parts.append(f"measure.header_row = {row + 1}")
     if found.units:
-        listed = ", ".join(f"{name} in {unit}" for name, unit in list(found.units.items())[:8])
-        parts.append(f"a row of units ({listed})")
+        units = listed(f"{name} in {unit}" for name, unit in found.units.items())
+        parts.append(f"a row of units ({units})")
     if found.trailing:
         parts.append("a separator at the end of each row")
     if parts:

@@ -14,7 +14,7 @@ from kincal.identification.static_poses import static_attitudes
 from kincal.identification.streams.campaign import DroppedPose
 from kincal.identification.streams.repeats import STUCK
 from kincal.urdf.description import Filter, Sensor
-from kincal.urdf.errors import InputError
+from kincal.urdf.errors import InputError, quoted
 
 CHANNELS = ("roll", "pitch", "yaw")
 _MEDIAN = 0.67449  # of the absolute value of a standard normal variable
@@ -104,7 +104,7 @@ def _unusable(stretches: _Stretches, channels: list[str], settings: Filter) -> d
     }
     for k, channel in np.argwhere(_stuck(stretches)):
         value = samples[stretches.starts[k], channel] / UNITS["deg"]
-        reason = f"channel {channels[channel]!r} is stuck at {value:.6g} degrees for all {counts[k]} samples"
+        reason = f"channel {quoted(channels[channel])} is stuck at {value:.6g} degrees for all {counts[k]} samples"
         reasons.setdefault(stretches.pose[k], reason)
     return reasons
 

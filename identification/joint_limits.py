@@ -12,7 +12,7 @@ from kincal.identification.measurement_table import ANGLES, LENGTHS, UNITS
 from kincal.urdf.actuators import Actuators
 from kincal.urdf.closed_chain import ClosedChain
 from kincal.urdf.description import Tolerance
-from kincal.urdf.errors import TableError
+from kincal.urdf.errors import TableError, quoted
 
 
 def check_readings(
@@ -40,7 +40,7 @@ def beyond_limits(
             hint = f"; is it in {' or '.join(within)}? (measure.columns gives a column's unit)" if within else ""
             row = int(bad[0])
             return TableError(
-                f"{file}: pose {table['pose'][row]}: joint {name!r} would be at "
+                f"{file}: pose {table['pose'][row]}: joint {quoted(name)} would be at "
                 f"{actuators.zero[k] + actuators.gain[k] * readings[row]:.6g} {'m' if slides else 'rad'}; "
                 f"its limits are [{limits.low:.6g}, {limits.high:.6g}]{hint}",
                 name,

@@ -18,7 +18,7 @@ from kincal.identification.column_names import matched
 from kincal.identification.table_files import floats, load
 from kincal.identification.table_formats.export import POSITION
 from kincal.urdf.description import Measure, listed
-from kincal.urdf.errors import TableError
+from kincal.urdf.errors import TableError, quoted
 
 FRAMES = (("frame", "frame"), ("frame_from", "frame_to"), ("t_from", "t_to"))  # first and last of a pose
 _COLUMNS = tuple(dict.fromkeys(name for pair in FRAMES for name in pair))
@@ -36,7 +36,7 @@ def with_joints(measured: pd.DataFrame, joints: Sequence[str], measure: Measure,
     missing = [name for name in joints if name not in columns]
     if missing:
         raise TableError(
-            f"{measure.joints}: column {missing[0]!r} is missing; it has {listed(rows.columns)}", missing[0]
+            f"{measure.joints}: column {quoted(missing[0])} is missing; it has {listed(rows.columns)}", missing[0]
         )
     poses = rows[columns["pose"]].tolist() if "pose" in columns else list(range(len(rows)))
     first, last, windows = _places(measured, rows, columns, measure.joints, file)

@@ -16,7 +16,7 @@ from kincal.identification.orientations import as_quaternion, check_notation, sh
 from kincal.identification.skipped_poses import kept, skip_note
 from kincal.identification.table_files import floats, load
 from kincal.urdf.description import EULER_ANGLES, Column, Measure, listed, nearest
-from kincal.urdf.errors import InputError, TableError
+from kincal.urdf.errors import InputError, TableError, quoted
 
 UNITS = {"m": 1.0, "mm": 1e-3, "cm": 1e-2, "in": 0.0254, "rad": 1.0, "deg": np.pi / 180, "rev": 2 * np.pi, "1": 1.0}
 LENGTHS, ANGLES = ("m", "mm", "cm", "in"), ("rad", "deg", "rev")
@@ -77,7 +77,7 @@ def canonical_table(
     known = known_columns(joints, measure)
     wrong = next((name for name in measure.columns if name not in known), None)
     if wrong is not None:
-        where = f"{file}: measure.columns: {wrong!r}"
+        where = f"{file}: measure.columns: {quoted(wrong)}"
         raise InputError(f"{where} is no column of a measurement table; {nearest(wrong, known)}")
     stay = _kept(raw, joints, measure, file)
     seen = stay & ~_unmeasured(raw, joints, measure) if measured else stay
@@ -111,7 +111,9 @@ def _values(
         elif name in measure.columns or name in joints:
             _check_export(raw.attrs, joints, file)
             source = measure.columns[name].source if name in measure.columns else name
-            raise TableError(f"{file}: column {source!r} ({name}) is missing; it has {listed(raw.columns)}", source)
+            raise TableError(
+                f"{file}: column {quoted(source)} ({name}) is missing; it has {listed(raw.columns)}", source
+            )
     return columns
 
 
@@ -205,7 +207,8 @@ def _check_spelling(
     near = misspelt(unused([str(name) for name in present], used), set(known) - set(sources))
     if near is not None:
         raise TableError(
-            f"{file}: column {near[0]!r} is not used; did you mean {near[1]!r}? Rename the column, or delete it",
+            f"{file}: column {quoted(near[0])} is not used; did you mean {quoted(near[1])}? "
+            "Rename the column, or delete it",
             near[0],
         )
 
@@ -225,7 +228,8 @@ def numbers(
         if np.isfinite(values_read[row]):
             allowed = f"finite numbers below {_LARGEST:g}"
         number = int(row if rows is None else rows[row])
-        message = f"{file}: column {column.source!r}, row {number + 1}: found {values[row]!r}; allowed are {allowed}"
+        place = f"{file}: column {quoted(column.source)}, row {number + 1}"
+        message = f"{place}: found {quoted(values[row])}; allowed are {allowed}"
         if isinstance(values[row], str) and str(values[row]).strip().isalpha():
             message += ". A row that is no pose, such as a summary, must be deleted"
         raise TableError(message, column.source, number)
@@ -267,5 +271,5 @@ def _refuse(bad: np.ndarray, file: Path | str, column: str, values: np.ndarray, 
         at = int(np.argmax(bad))
         row = int(rows[at])
         raise TableError(
-            f"{file}: column {column!r}, row {row + 1}: found {values[at]:g}; allowed are {allowed}", column, row
+            f"{file}: column {quoted(column)}, row {row + 1}: found {values[at]:g}; allowed are {allowed}", column, row
         )

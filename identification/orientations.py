@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from kincal.identification.channels.orientation import EULER, QUATERNION
 from kincal.urdf.description import EULER_ANGLES, Measure, listed
-from kincal.urdf.errors import TableError
+from kincal.urdf.errors import TableError, quoted
 
 _MOST = 2 * np.pi + 1e-6  # [rad] an angle beyond one turn is likely one in degrees
 
@@ -98,7 +98,7 @@ def _check_size(values: np.ndarray, names: Sequence[str], where: str, rows: np.n
         at, k = bad[0]
         name, row = str(names[k]), int(rows[at])
         raise TableError(
-            f"{where}: column {name!r}, row {row + 1}: found {values[at, k]:.6g} rad; allowed are numbers up to one "
+            f"{where}: column {quoted(name)}, row {row + 1}: found {values[at, k]:.6g} rad; allowed are numbers up to one "
             f'turn, 6.28. For degrees, set measure.columns.{name} = {{ from = "{name}", unit = "deg" }}',
             name,
             row,

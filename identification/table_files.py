@@ -19,10 +19,11 @@ from kincal.identification.channels import CHANNELS
 from kincal.identification.dialect import encoding_of, recognised
 from kincal.identification.table_formats import format_of
 from kincal.identification.table_formats.export import HEAD, Source
+from kincal.identification.workbook_size import check_workbook
 from kincal.identification.workbooks import WORKBOOKS, workbook
 from kincal.urdf.description import Measure
-from kincal.urdf.errors import InputError
-from kincal.urdf.input_files import bounded, check_file, unreadable
+from kincal.urdf.errors import InputError, quoted, shortened
+from kincal.urdf.input_files import MAX_UNPACKED, bounded, check_file, unreadable
 
 if TYPE_CHECKING:
     from pyarrow.parquet import ParquetFile
@@ -49,6 +50,7 @@ def load(file: Path, measure: Measure, wanted: Sequence[str] = ()) -> pd.DataFra
         if file.suffix.lower() in (".parquet", ".pq"):
             return _parquet(file)
         if file.suffix.lower() in WORKBOOKS:
+            check_workbook(file)
             return workbook(file, measure, names)
         return _text(file, measure, names)
 
@@ -114,7 +116,7 @@ def check_names(file: Path | str, names: Sequence[str]) -> None:
         raise InputError(f"{file}: {len(names)} columns; allowed are {MAX_COLUMNS}")
     repeated = next((name for name, n in Counter(names).items() if n > 1), None)
     if repeated is not None:
-        raise InputError(f"{file}: column {repeated!r} appears twice; allowed is once")
+        raise InputError(f"{file}: column {quoted(repeated)} appears twice; allowed is once")
 
 
 def _texts(file: Path, stream: BinaryIO) -> Iterator[str]:
@@ -167,7 +169,7 @@ def readable(file: Path) -> Iterator[None]:
         raise InputError(f"{file}: a row has more fields than the header, which names them") from None
     # pyarrow's and pandas' parsers raise kinds of ValueError, pyarrow another for what it has not got
     except (ValueError, NotImplementedError, csv.Error) as error:
-        raise InputError(f"{file}: not a table that can be read: {' '.join(str(error).split())[:200]}") from None
+        raise InputError(f"{file}: not a table that can be read: {shortened(error)}") from None
 
 
 @contextmanager
@@ -201,6 +203,9 @@ def _is_text(kind: Any) -> bool:
 def _parquet(file: Path) -> pd.DataFrame:
     with parquet(file) as (opened, names):
         _check_size(file, opened.metadata.num_rows, len(names))
+        unpacked = sum(opened.metadata.row_group(k).total_byte_size for k in range(opened.metadata.num_row_groups))
+        if unpacked > MAX_UNPACKED:
+            raise InputError(f"{file}: it unpacks to {unpacked >> 20} MB; allowed are {MAX_UNPACKED >> 20}")
         with bounded(file):
             return decoded(file, opened.read(columns=names, use_threads=False))
 
@@ -217,6 +222,7 @@ def decoded(file: Path, table: Any) -> pd.DataFrame:
             if _is_text(field.type.value_type):
                 letters = (pc.sum(pc.take(pc.binary_length(c.dictionary), c.indices)) for c in table.column(k).chunks)
                 if sum(n.as_py() or 0 for n in letters) > MAX_BYTES:
-                    raise InputError(f"{file}: column {field.name!r}: more than {MAX_BYTES} letters, which are allowed")
+                    many = f"more than {MAX_BYTES} letters, which are allowed"
+                    raise InputError(f"{file}: column {quoted(field.name)}: {many}")
             table = table.set_column(k, field.name, table.column(k).cast(field.type.value_type))
     return table.to_pandas(ignore_metadata=True)

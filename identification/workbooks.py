@@ -9,7 +9,7 @@ import pandas as pd
 
 from kincal.identification.dialect import folded, header_of, units_of
 from kincal.urdf.description import Measure, listed
-from kincal.urdf.errors import InputError
+from kincal.urdf.errors import InputError, quoted
 
 WORKBOOKS = (".xlsx", ".xlsm", ".xlsb", ".xls", ".ods")
 _LOOKED_AT = 200  # rows for the header
@@ -38,7 +38,7 @@ def _table(file: Path, sheet: str, cells: pd.DataFrame, row: int, n_sheets: int)
     table = cells.loc[row + 1 :, kept].set_axis(names, axis="columns").dropna(how="all").reset_index(drop=True)
     units = units_of(names, table.iloc[0].where(table.iloc[0].notna(), "").tolist()) if len(table) else {}
     table = table.iloc[1:].reset_index(drop=True) if units else table
-    notes = [f"{file}: read sheet {sheet!r}"] * (n_sheets > 1)
+    notes = [f"{file}: read sheet {quoted(sheet)}"] * (n_sheets > 1)
     notes += [f"{file}: recognised measure.header_row = {row + 1}"] * (row > 0)
     table.attrs.update(notes=tuple(notes), units=units)
     return table

@@ -10,7 +10,7 @@ import pinocchio as pin  # pyright: ignore[reportMissingImports] - a wheel witho
 
 from kincal.urdf.description import Loop, Mechanism, Workspace, nearest
 from kincal.urdf.drawing import BASE, Drawing, DrawnLoop, parse
-from kincal.urdf.errors import InputError
+from kincal.urdf.errors import InputError, quoted
 from kincal.urdf.mjcf import read_mjcf
 from kincal.urdf.rigid_motion import Motion
 from kincal.urdf.urdf_tree import read_urdf
@@ -133,17 +133,17 @@ def load_chain(mechanism: Mechanism, text: str, file: Path) -> ClosedChain:
     for name in mechanism.actuated:
         if name not in joint_index:
             raise InputError(
-                f"actuated: joint {name!r} is not among the moving joints of {file}; {nearest(name, names)}"
+                f"actuated: joint {quoted(name)} is not among the moving joints of {file}; {nearest(name, names)}"
             )
     base = _frame(model, mechanism.base_frame, "base_frame", file)
     if base[0] != BASE:
-        problem = f"{mechanism.base_frame!r} moves with joint {names[base[0]]!r} of {file}"
+        problem = f"{quoted(mechanism.base_frame)} moves with joint {quoted(names[base[0]])} of {file}"
         raise InputError(f"base_frame: {problem}; allowed is a frame that is fixed")
     tool = _frame(model, mechanism.tool_frame, "tool_frame", file)
     lower, upper = _limits(model)
     for j in np.flatnonzero(lower > upper):
         problem = f"[{lower[j]:.6g}, {upper[j]:.6g}]"
-        raise InputError(f"{file}: joint {names[j]!r}: its limits are {problem}; allowed is the lower one first")
+        raise InputError(f"{file}: joint {quoted(names[j])}: its limits are {problem}; allowed is the lower one first")
     drawn = drawing.configuration
     placements = [Motion(m.rotation.copy(), m.translation.copy()) for m in list(model.jointPlacements)[1:]]
     loops = []
@@ -192,16 +192,17 @@ def _loops(drawing: Drawing, mechanism: Mechanism, file: Path) -> list[DrawnLoop
     loops = [*drawing.loops, *(_closure(drawing.model, loop, file) for loop in mechanism.loop)]
     for k, loop in enumerate(loops):
         if loop.name in {other.name for other in loops[:k]}:
-            raise InputError(f"loop {loop.name!r}: {file} closes a loop of that name itself; name it otherwise")
+            raise InputError(f"loop {quoted(loop.name)}: {file} closes a loop of that name itself; name it otherwise")
         if loop.joints[0] == loop.joints[1]:
-            raise InputError(f"loop {loop.name!r}: both frames sit on one body of {file}; it closes nothing")
+            raise InputError(f"loop {quoted(loop.name)}: both frames sit on one body of {file}; it closes nothing")
     return loops
 
 
 def _closure(model: pin.Model, loop: Loop, file: Path) -> DrawnLoop:
     if loop.frames[0] == loop.frames[1]:
-        raise InputError(f"loop {loop.name!r}: both frames are {loop.frames[0]!r}; allowed are two different ones")
-    first, second = (_frame(model, frame, f"loop {loop.name!r}", file) for frame in loop.frames)
+        both = f"both frames are {quoted(loop.frames[0])}"
+        raise InputError(f"loop {quoted(loop.name)}: {both}; allowed are two different ones")
+    first, second = (_frame(model, frame, f"loop {quoted(loop.name)}", file) for frame in loop.frames)
     return DrawnLoop(loop.name, loop.kind, loop.frames, (first[0], second[0]), (first[1], second[1]))
 
 
@@ -209,10 +210,10 @@ def _frame(model: pin.Model, name: str, field: str, file: Path) -> tuple[int, Mo
     """The joint that carries a frame (BASE for none), and the frame's placement in that joint's frame."""
     frames = [f for f in model.frames if f.name == name and f.type != pin.FrameType.JOINT]
     if len(frames) > 1:
-        raise InputError(f"{field}: {file} has {len(frames)} frames called {name!r}; their names must differ")
+        raise InputError(f"{field}: {file} has {len(frames)} frames called {quoted(name)}; their names must differ")
     if not frames:
         legal = [f.name for f in model.frames if f.name != "universe"]
-        raise InputError(f"{field}: frame {name!r} is not in {file}; {nearest(name, legal)}")
+        raise InputError(f"{field}: frame {quoted(name)} is not in {file}; {nearest(name, legal)}")
     placement = frames[0].placement
     return frames[0].parentJoint - 1, Motion(placement.rotation.copy(), placement.translation.copy())
 

@@ -8,6 +8,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+from kincal.urdf.errors import quoted
+
 
 def _named(position: str, quaternion: str, unit: str = "1") -> dict[str, Any]:
     """Names with {} in place of the axis."""
@@ -33,5 +35,5 @@ def expanded(measure: Mapping[str, Any]) -> dict[str, Any]:
     if not isinstance(name, str):
         return dict(measure)
     if name not in TEMPLATES:
-        raise ValueError(f"columns = {name[:40]!r}: no such template; allowed are {', '.join(TEMPLATES)}, or a table")
+        raise ValueError(f"columns = {quoted(name)}: no such template; allowed are {', '.join(TEMPLATES)}, or a table")
     return {**TEMPLATES[name], **{key: value for key, value in measure.items() if key != "columns"}}

@@ -18,14 +18,16 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar, get_args
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, create_model, field_validator, model_validator
 
 from kincal.urdf.column_templates import expanded
-from kincal.urdf.errors import InputError, UnknownNameError
+from kincal.urdf.errors import MOST_SHOWN, InputError, UnknownNameError, quoted, shortened
 from kincal.urdf.input_files import MAX_KEY, MAX_TOML, parse_toml, read_text
 
 ROBOTS = Path(__file__).parent / "robots"
 
 _MOST_SAMPLES = 20_000  # of a virtual stream, a pose
 _LONG_NAME = 200  # letters: to compare such names takes long
+_LONGEST_PATH = 1000  # letters
 _SHOWN = 12  # names, of many that are allowed
+_LIST, _LISTED_NAME = 200, 30  # letters of a list of names that are allowed, and of a name in a list
 
 _Model = TypeVar("_Model", bound=BaseModel)
 
@@ -267,7 +269,7 @@ class Measure(_Table):
         if order is not None and order not in EULER_ORDERS:
             intrinsic = ", ".join(_INTRINSIC)
             raise ValueError(
-                f"found {_shorten(order)}; allowed are {intrinsic} (about the turned axes), and the same in lower case "
+                f"found {shortened(order)}; allowed are {intrinsic} (about the turned axes), and the same in lower case "
                 "(about fixed axes)"
             )
         return order
@@ -293,8 +295,8 @@ class Measure(_Table):
         measured = next((key for key in ("table", "commands") if getattr(self, key) is not None), None)
         if self.source == "virtual" and measured is not None:
             raise ValueError(
-                f'source = "virtual" and {measured} = "{getattr(self, measured).name}": a virtual robot simulates its '
-                f"measurements. Delete source to use yours, or delete {measured} to simulate"
+                f'source = "virtual" and {measured} = "{shortened(getattr(self, measured).name)}": a virtual robot '
+                f"simulates its measurements. Delete source to use yours, or delete {measured} to simulate"
             )
         if self.source == "files" and self.table is None and self.commands is None:
             raise ValueError('source = "files" needs a table: set measure.table to a CSV or Parquet file')
@@ -406,7 +408,7 @@ class Mechanism(_Table):
         for table, names in (("actuated", self.actuated), ("loop", [loop.name for loop in self.loop])):
             repeated = {n for n in names if list(names).count(n) > 1}
             if repeated:
-                raise ValueError(f"{table}: {sorted(repeated)[0]!r} appears twice")
+                raise ValueError(f"{table}: {quoted(sorted(repeated)[0])} appears twice")
         return self
 
 
@@ -466,7 +468,8 @@ class RobotDescription(Mechanism):
     def _actuators(self) -> RobotDescription:
         for joint in self.actuator:
             if joint not in self.actuated:
-                raise ValueError(f"actuator.{joint}: no actuated joint; {nearest(joint, self.actuated)}")
+                unknown = f"actuator.{shortened(joint, _LISTED_NAME)}: no actuated joint"
+                raise ValueError(f"{unknown}; {nearest(joint, self.actuated)}")
         return self
 
     @property
@@ -536,7 +539,7 @@ def load_robot(robot: str, overrides: Sequence[str] = ()) -> Robot:
 def described(file: Path, settings: Iterable[Setting]) -> RobotDescription:
     """A robot.toml with settings over it. Raises InputError, as load_robot does."""
     content = read_toml(file)
-    _resolve_paths(content, file.parent)
+    _resolve_paths(content, file)
     origin: dict[tuple[str, ...], str] = {}
     settings = tuple(settings)
     _one_source(content, settings)
@@ -582,7 +585,7 @@ def validate(
                 where = text
             elif first["type"] == "value_error" and loc == keys[: len(loc)]:  # of the whole table
                 where = f"{where} with {text}"
-        field = ".".join(loc)
+        field = ".".join(shortened(part, _LISTED_NAME) for part in loc)
         raise InputError(f"{where}: {field + ': ' if field else ''}{_explain(first, model)}") from None
 
 
@@ -595,7 +598,7 @@ def _explain(error: Any, model: type[BaseModel]) -> str:
     message = error["msg"].removeprefix("Value error, ")
     if error["type"] == "value_error":
         return message
-    return f"found {_shorten(error['input'])}; {message[0].lower()}{message[1:]}"
+    return f"found {quoted(error['input'])}; {message[0].lower()}{message[1:]}"
 
 
 def _legal_keys(model: Any, loc: Iterable[Any]) -> list[str]:
@@ -618,21 +621,17 @@ def nearest(name: str, legal: Iterable[str]) -> str:
     legal = list(legal)
     likely = [other for other in legal if len(other) < _LONG_NAME] if len(name) < _LONG_NAME else []
     close = difflib.get_close_matches(name, likely, n=1, cutoff=0.5)
-    return f"did you mean {close[0]!r}?" if close else f"allowed: {listed(legal)}"
+    return f"did you mean {quoted(close[0])}?" if close else f"allowed: {listed(legal, _LIST)}"
 
 
-def listed(names: Iterable[Any]) -> str:
-    """The first of them; whoever reads it wants no page."""
-    shown = [str(name) for name in islice(names, _SHOWN + 1)]
-    return ", ".join(shown[:_SHOWN]) + (", ..." if len(shown) > _SHOWN else "")
-
-
-def _shorten(value: Any) -> str:
-    try:
-        text = repr(value)
-    except ValueError:
-        return "a number of thousands of digits"
-    return text if len(text) <= 60 else text[:57] + "..."
+def listed(names: Iterable[Any], letters: int = MOST_SHOWN) -> str:
+    """The first of them, at least one and about `letters` in all; whoever reads it wants no page."""
+    shown: list[str] = []
+    for name in islice(names, _SHOWN + 1):
+        shown.append(shortened(name, _LISTED_NAME))
+        if len(shown) > _SHOWN or (len(shown) > 1 and len(", ".join(shown)) > letters):
+            return ", ".join([*shown[:-1], "..."])
+    return ", ".join(shown)
 
 
 def find_robot(robot: str) -> Path:
@@ -679,13 +678,16 @@ def _parsed(text: str) -> dict[str, Any]:
     return parse_toml(text)
 
 
-def _resolve_paths(content: dict[str, Any], folder: Path) -> None:
+def _resolve_paths(content: dict[str, Any], file: Path) -> None:
     for *tables, key in PATHS:
         table: Any = content
         for name in tables:
             table = table.get(name) if isinstance(table, dict) else None
         if isinstance(table, dict) and isinstance(table.get(key), str):
-            table[key] = str(folder / table[key])
+            if len(table[key]) > _LONGEST_PATH:
+                name, allowed = ".".join((*tables, key)), f"a path of {_LONGEST_PATH} letters or fewer"
+                raise InputError(f"{file}: {name}: found {quoted(table[key])}; allowed is {allowed}")
+            table[key] = str(file.parent / table[key])
 
 
 def parse_override(text: str) -> Setting:

@@ -4,7 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-_LONGEST = 1000  # letters of a message: what was found may be a whole file
+OUT_OF_MEMORY = (
+    "out of memory; finished results stay in the store. Close other programs, use fewer workers (--on), or less data: "
+    "fewer poses, a shorter stream"
+)
+_LONGEST = 1000  # letters of a message: a list of names may be long
+MOST_SHOWN = 80  # letters that a message shows of a text or a list
+_QUOTED = 50  # of a value: a message that names it twice still shows no more than MOST_SHOWN
+_LONGEST_PATH = 400  # letters
 
 
 class InputError(ValueError):
@@ -27,11 +34,39 @@ def of_system(error: OSError) -> str:
 
 
 def one_line(message: str) -> str:
-    """As a terminal may show it, whatever names and values a file holds: no control characters, the middle cut out."""
-    if len(message) > 10 * _LONGEST:
-        message = message[: 5 * _LONGEST] + message[-5 * _LONGEST :]
-    shown = "".join(c if c.isprintable() else "?" for c in " ".join(message.split()))
-    return shown if len(shown) <= _LONGEST else f"{shown[: 3 * _LONGEST // 4]} ... {shown[-_LONGEST // 4 :]}"
+    """As a terminal may show it: no control characters, and the middle of long messages and long words cut out."""
+    words = _printable(message, 10 * _LONGEST).split(" ")
+    return _cut(" ".join(_word(word) if len(word) > MOST_SHOWN else word for word in words), _LONGEST)
+
+
+def quoted(value: object) -> str:
+    """A value of a file, with Python's quotes, as messages show it: printable, the middle of a long one cut out."""
+    try:
+        text = repr(value if not isinstance(value, str) else _cut(value, 10 * MOST_SHOWN))
+    except (ValueError, RecursionError):  # a whole number of thousands of digits; a list in a list in a list ..
+        return f"a {type(value).__name__} that is too long to be shown"
+    return shortened(text, _QUOTED)
+
+
+def shortened(text: object, most: int = MOST_SHOWN) -> str:
+    """A name or a text of a file as messages show it: `most` printable letters, the middle of a longer one cut out."""
+    return _cut(_printable(str(text), 10 * _LONGEST), most)
+
+
+def _printable(text: str, most: int) -> str:
+    return "".join(c if c.isprintable() else "?" for c in " ".join(_cut(text, most).split()))
+
+
+def _cut(text: str, most: int) -> str:
+    end = most // 4
+    return text if len(text) <= most else f"{text[: most - end - 3]}...{text[-end:]}"
+
+
+def _word(word: str) -> str:
+    """What stands between two blanks; of a path each part may be long."""
+    if "/" not in word:
+        return _cut(word, MOST_SHOWN)
+    return _cut("/".join(_cut(part, MOST_SHOWN) for part in word.split("/")), _LONGEST_PATH)
 
 
 # Errors where a caller can act on more than the message.

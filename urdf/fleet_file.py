@@ -33,7 +33,7 @@ from kincal.urdf.description import (
     toml_text,
     validate,
 )
-from kincal.urdf.errors import InputError
+from kincal.urdf.errors import InputError, quoted
 
 MOST_UNITS = 10_000
 _DEEPEST = 10  # tables in tables
@@ -62,7 +62,7 @@ class Fleet(_Table):
         seen: set[str] = set()
         for unit in self.unit:
             if unit.name in seen:
-                raise ValueError(f"unit: {unit.name!r} appears twice")
+                raise ValueError(f"unit: {quoted(unit.name)} appears twice")
             seen.add(unit.name)
         return self
 
@@ -83,7 +83,7 @@ def read_fleet(file: Path) -> Fleet:
 def unit_of(file: Path, name: str, overrides: Sequence[str]) -> Robot:
     fleet, units = _units(toml_text(file), str(file))
     if name not in units:
-        raise InputError(f"{file}: no unit {name!r}; {nearest(name, units)}")
+        raise InputError(f"{file}: no unit {quoted(name)}; {nearest(name, units)}")
     unit, where = units[name], f"{file}: unit {name}"
     shipped = "/" not in fleet.design and not (file.parent / fleet.design).exists()
     try:

@@ -9,13 +9,15 @@ import tomllib
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, Protocol, TypeVar
 
 from kincal.urdf.errors import InputError
 
 MAX_TOML = 1 << 20  # bytes
 MAX_DRAWING = 16 << 20  # bytes of a URDF or an MJCF: text without its meshes
 MAX_UNPACKED = 1 << 30  # bytes of memory that a compressed or binary file may take
+MAX_RECORDS = 200_000_000  # lines, rows or messages of a stream: 23 days at 100 Hz
+MAX_KEPT = 64_000_000  # numbers of a stream that stay in memory: 512 MB
 MAX_KEY = 100  # parts of a dotted key: tomllib's time grows with the square of it
 _Item = TypeVar("_Item")
 _PART = r"(?:[\w-]++|\"[^\"\n]*+\"|'[^'\n]*+')"
@@ -114,3 +116,37 @@ def bounded_each(file: Path, items: Iterable[_Item]) -> Iterator[_Item]:
             except StopIteration:
                 return
         yield item
+
+
+def check_records(file: Path, records: int, kept: int = 0) -> None:
+    """InputError where a stream has more records than are allowed, or more numbers (`kept`) than stay in memory."""
+    if records > MAX_RECORDS:
+        raise InputError(
+            f"{file}: {records} records; allowed are {MAX_RECORDS}. Cut the file, or keep every tenth record"
+        )
+    if kept > MAX_KEPT:
+        raise InputError(
+            f"{file}: {records} samples, {kept} numbers in all; allowed are {MAX_KEPT} numbers that stay in memory. "
+            "Keep every tenth sample, leave out columns, or cut the file"
+        )
+
+
+class Sized(Protocol):
+    """An array or a table: rows, and numbers in all."""
+
+    @property
+    def size(self) -> int: ...
+
+    def __len__(self) -> int: ...
+
+
+_Chunk = TypeVar("_Chunk", bound=Sized)
+
+
+def kept(file: Path, chunks: Iterable[_Chunk]) -> Iterator[_Chunk]:
+    """The chunks of a stream whose user keeps them all; InputError where they are more than fit into memory."""
+    samples = numbers = 0
+    for chunk in chunks:
+        samples, numbers = samples + len(chunk), numbers + chunk.size
+        check_records(file, samples, numbers)
+        yield chunk

@@ -16,7 +16,7 @@ import pinocchio as pin  # pyright: ignore[reportMissingImports] - a wheel witho
 
 from kincal.urdf.description import nearest
 from kincal.urdf.drawing import BASE, MAX_JOINTS, Drawing, DrawnLoop
-from kincal.urdf.errors import InputError
+from kincal.urdf.errors import InputError, quoted
 from kincal.urdf.mjcf_text import Attributes, MjcfText, from_quaternion
 from kincal.urdf.rigid_motion import Motion, exp
 
@@ -105,14 +105,14 @@ class _Tree:
         names = [joint.name for joint in self.joints]
         for name in names:
             if names.count(name) > 1:
-                raise InputError(f"{self.text.file}: two joints are called {name!r}; their names must differ")
+                raise InputError(f"{self.text.file}: two joints are called {quoted(name)}; their names must differ")
 
     def _body(self, element, placed: Motion, on: str, childclass: str) -> list:
         """Add a body, its joints and sites; what is left to do: the bodies in it, the last one first."""
         name = element.get("name") or self._new_name("body")
-        label = f"body {name!r}"
+        label = f"body {quoted(name)}"
         if name in self.bodies:
-            raise InputError(f"{self.text.file}: two bodies are called {name!r}; their names must differ")
+            raise InputError(f"{self.text.file}: two bodies are called {quoted(name)}; their names must differ")
         if element.get("mocap") == "true":
             raise InputError(f"{self.text.file}: {label} is moved by hand (mocap); leave it out")
         parent, pose = self.bodies[on], placed @ self.text.placement(element.attrib, label)
@@ -139,7 +139,7 @@ class _Tree:
 
     def _joint(self, element, name: str, placed: Motion, childclass: str, body: _Frame) -> _Frame:
         """Add a joint of `body`, at `placed` in it; the body's frame after that joint."""
-        label, kind = f"joint {name!r}", self._kind(element, childclass)
+        label, kind = f"joint {quoted(name)}", self._kind(element, childclass)
         if kind == "free":
             return self._free(name, label, body)
         attributes = self.text.attributes(element, childclass)
@@ -158,7 +158,7 @@ class _Tree:
             start = Motion(np.eye(3), back) if kind == "slide" else Motion(exp(back), np.zeros(3))
             self.joints.append(_Joint(name, axis, kind == "slide", body.joint, anchor @ start, limits, drawn))
         else:
-            raise InputError(f"{self.text.file}: {label} has type {kind!r}; allowed are hinge, slide, ball, free")
+            raise InputError(f"{self.text.file}: {label} has type {quoted(kind)}; allowed are hinge, slide, ball, free")
         return _Frame(len(self.joints) - 1, at.inverse(), body.drawn)
 
     def _free(self, name: str, label: str, body: _Frame) -> _Frame:
@@ -182,7 +182,7 @@ class _Tree:
         """[rad or m]; of a ball joint those of each of its three angles: none is beyond the whole rotation's."""
         limited = attributes.get("limited", "auto")
         if limited not in ("true", "false", "auto"):
-            raise InputError(f"{self.text.file}: {label}: limited is {limited!r}; allowed are true, false, auto")
+            raise InputError(f"{self.text.file}: {label}: limited is {quoted(limited)}; allowed are true, false, auto")
         if limited == "auto" and "range" in attributes and not self.text.autolimits:
             raise InputError(
                 f'{self.text.file}: {label} has a range but no `limited`, which autolimits="false" demands'
@@ -192,7 +192,8 @@ class _Tree:
             return (-np.inf, np.inf)
         if not low < high or (kind == "ball" and low != 0):
             allowed = "0 and a positive angle" if kind == "ball" else "two numbers, the lower one first"
-            raise InputError(f"{self.text.file}: {label}: range is {attributes.get('range')!r}; allowed: {allowed}")
+            shown = quoted(attributes.get("range"))
+            raise InputError(f"{self.text.file}: {label}: range is {shown}; allowed: {allowed}")
         if kind == "ball":
             return (-high, high) if high <= np.pi / 2 else (-np.inf, np.inf)
         return float(low), float(high)
@@ -205,15 +206,15 @@ class _Tree:
                 inner.append((child, placed, name, own))
             elif child.tag == "site" and (site := child.get("name")):
                 if site in self.sites:
-                    raise InputError(f"{self.text.file}: two sites are called {site!r}; their names must differ")
-                at = placed @ self.text.placement(self.text.attributes(child, own), f"site {site!r}")
+                    raise InputError(f"{self.text.file}: two sites are called {quoted(site)}; their names must differ")
+                at = placed @ self.text.placement(self.text.attributes(child, own), f"site {quoted(site)}")
                 self.sites[site] = _Frame(frame.joint, frame.placement @ at, frame.drawn @ at, name)
             elif child.tag in _JOINTS:
                 if name == WORLD:
                     raise InputError(f"{self.text.file}: <worldbody> has a joint; allowed are joints of bodies")
             elif child.tag not in _WITHOUT_MOTION:
                 legal = nearest(child.tag, ("body", "joint", "freejoint", "frame", *sorted(_WITHOUT_MOTION)))
-                raise InputError(f"{self.text.file}: body {name!r} has an element <{child.tag}>; {legal}")
+                raise InputError(f"{self.text.file}: body {quoted(name)} has an element <{child.tag}>; {legal}")
         return inner[::-1]
 
 
@@ -223,7 +224,7 @@ def _contents(element, childclass: str, text: MjcfText) -> Iterator[tuple]:
     while stack:
         child, placed, own = stack.pop()
         if child.tag == "frame":
-            inside = placed @ text.placement(child.attrib, f"frame {child.get('name', '')!r}")
+            inside = placed @ text.placement(child.attrib, f"frame {quoted(child.get('name', ''))}")
             own = child.get("childclass", own)
             stack += [(inner, inside, own) for inner in reversed(child)]
         else:
@@ -239,9 +240,9 @@ def _loops(root, tree: _Tree) -> tuple[DrawnLoop, ...]:
         name = element.get("name") or next(
             n for k in range(1, len(elements) + 2) if (n := f"{element.tag}{k}") not in taken
         )
-        label = f"equality {name!r}"
+        label = f"equality {quoted(name)}"
         if names.count(name) > 1:
-            raise InputError(f"{file}: two equalities are called {name!r}; their names must differ")
+            raise InputError(f"{file}: two equalities are called {quoted(name)}; their names must differ")
         taken.add(name)
         if element.tag not in ("connect", "weld"):
             raise InputError(
@@ -270,7 +271,7 @@ def _loop(tag: str, name: str, attributes: Attributes, tree: _Tree, label: str) 
     first, second = (_end(tree.bodies, at, f"{where}: body") for at in names)
     if tag == "connect":
         if "anchor" not in attributes:
-            raise InputError(f"{where} needs an anchor, in the frame of {names[0]!r}")
+            raise InputError(f"{where} needs an anchor, in the frame of {quoted(names[0])}")
         at = Motion(np.eye(3), tree.text.numbers(attributes, "anchor", "0 0 0", label))
         meeting = second.drawn.inverse() @ first.drawn @ at  # where they are in the configuration that the file shows
         inner = (at, Motion(np.eye(3), meeting.translation))
@@ -293,7 +294,7 @@ def _weld(attributes: Attributes, first: _Frame, second: _Frame, text: MjcfText,
 
 def _end(frames: Mapping[str, _Frame], name: str, where: str) -> _Frame:
     if name not in frames:
-        raise InputError(f"{where} {name!r} does not exist; {nearest(name, frames)}")
+        raise InputError(f"{where} {quoted(name)} does not exist; {nearest(name, frames)}")
     return frames[name]
 
 

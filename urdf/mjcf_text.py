@@ -10,7 +10,7 @@ import numpy as np
 
 from kincal.urdf.description import nearest
 from kincal.urdf.drawing import MAX_NUMBER
-from kincal.urdf.errors import InputError
+from kincal.urdf.errors import InputError, quoted
 from kincal.urdf.input_files import floats
 from kincal.urdf.rigid_motion import Motion, exp
 
@@ -40,10 +40,10 @@ class MjcfText:
         for key, values in allowed.items():
             setting = settings.get(key, values[0])
             if setting not in values:
-                raise InputError(f"{file}: compiler: {key} is {setting!r}; allowed are {', '.join(values)}")
+                raise InputError(f"{file}: compiler: {key} is {quoted(setting)}; allowed are {', '.join(values)}")
         sequence = settings.get("eulerseq", "xyz")
         if len(sequence) != 3 or set(sequence.lower()) - set("xyz"):
-            raise InputError(f"{file}: compiler: eulerseq is {sequence!r}; allowed are three of x, y, z, X, Y, Z")
+            raise InputError(f"{file}: compiler: eulerseq is {quoted(sequence)}; allowed are three of x, y, z, X, Y, Z")
         radians = 1.0 if settings.get("angle") == "radian" else np.pi / 180
         text = MjcfText(file, radians, sequence, settings.get("autolimits") != "false", {"main": {}})
         for default in root.findall("default"):
@@ -61,7 +61,7 @@ class MjcfText:
         for inner in default.findall("default"):
             inner_name = inner.get("class")
             if not inner_name or inner_name in self.classes:
-                problem = "a class without a name" if not inner_name else f"two classes are called {inner_name!r}"
+                problem = "a class without a name" if not inner_name else f"two classes are called {quoted(inner_name)}"
                 raise InputError(f"{self.file}: default: {problem}; every class needs a name of its own")
             self.classes[inner_name] = {tag: dict(attributes) for tag, attributes in settings.items()}
             self._add_class(inner, inner_name, depth + 1)
@@ -70,7 +70,7 @@ class MjcfText:
         """An element's attributes, with those of its class where it says nothing."""
         name = element.get("class", childclass)
         if name not in self.classes:
-            raise InputError(f"{self.file}: default class {name!r} does not exist; {nearest(name, self.classes)}")
+            raise InputError(f"{self.file}: default class {quoted(name)} does not exist; {nearest(name, self.classes)}")
         return _overlaid(self.classes[name].get(tag or element.tag, {}), element.attrib)
 
     def numbers(self, attributes: Attributes, key: str, default: str, label: str) -> np.ndarray:
@@ -82,7 +82,7 @@ class MjcfText:
             values = np.zeros(0)
         if len(values) != n or not np.all(np.abs(values) < (MAX_NUMBER if key != "range" else np.inf)):
             numbers = "one finite number" if n == 1 else f"{n} finite numbers"
-            raise InputError(f"{self.file}: {label}: {key} is {text!r}; allowed: {numbers}")
+            raise InputError(f"{self.file}: {label}: {key} is {quoted(text)}; allowed: {numbers}")
         return values
 
     def direction(self, attributes: Attributes, key: str, default: str, label: str) -> np.ndarray:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import PurePath
 from typing import Any
 
-from kincal.urdf.errors import InputError
+from kincal.urdf.errors import InputError, quoted
 
 
 def as_toml(value: Any, name: str) -> str:
@@ -19,7 +19,7 @@ def as_toml(value: Any, name: str) -> str:
         return tomlkit.item(_plain(value)).as_string()
     except (ValueError, TypeError):
         allowed = "a number, a text, true or false, or a list of these"
-        raise InputError(f"settings: {name}: found {value!r}; allowed is {allowed}") from None
+        raise InputError(f"settings: {name}: found {quoted(value)}; allowed is {allowed}") from None
 
 
 def _plain(value: Any) -> Any:

@@ -15,7 +15,7 @@ import pinocchio as pin  # pyright: ignore[reportMissingImports] - a wheel witho
 
 from kincal.urdf.description import nearest
 from kincal.urdf.drawing import MAX_JOINTS, MAX_NUMBER, Drawing
-from kincal.urdf.errors import InputError
+from kincal.urdf.errors import InputError, quoted, shortened
 from kincal.urdf.input_files import floats
 
 JOINT_TYPES = ("revolute", "continuous", "prismatic", "fixed")
@@ -32,7 +32,7 @@ def read_urdf(root, text: str, file: Path) -> Drawing:
             model = pin.buildModelFromXML(text)
         except (ValueError, RuntimeError) as error:
             why = _first_line(errors) or str(error)
-            raise InputError(f"{file}: not a URDF that pinocchio can read: {why}") from None
+            raise InputError(f"{file}: not a URDF that pinocchio can read: {shortened(why)}") from None
     return Drawing(model, np.zeros(model.njoints - 1), link)
 
 
@@ -63,7 +63,7 @@ def _check_tree(root, file: Path) -> str:
     for joint in root.findall("joint"):
         name = _attribute(joint, "name", file, "joint")
         if name in joints:
-            raise InputError(f"{file}: two joints are called {name!r}; their names must differ")
+            raise InputError(f"{file}: two joints are called {quoted(name)}; their names must differ")
         joints[name] = joint
     if len(joints) > MAX_JOINTS:
         raise InputError(f"{file}: {len(joints)} joints; allowed are {MAX_JOINTS}")
@@ -71,27 +71,30 @@ def _check_tree(root, file: Path) -> str:
         raise InputError(f"{file}: {len(links)} links; allowed are {MAX_JOINTS + 1}")
     for name in links:
         if links.count(name) > 1:
-            raise InputError(f"{file}: two links are called {name!r}; their names must differ")
+            raise InputError(f"{file}: two links are called {quoted(name)}; their names must differ")
         if name in joints:
-            raise InputError(f"{file}: a link and a joint are both called {name!r}; frames would be ambiguous")
+            raise InputError(f"{file}: a link and a joint are both called {quoted(name)}; frames would be ambiguous")
     parent_of: dict[str, str] = {}
     for name, joint in joints.items():
         kind = joint.get("type")
         if kind not in JOINT_TYPES:
-            raise InputError(f"{file}: joint {name!r} has type {kind!r}; allowed are {', '.join(JOINT_TYPES)}")
+            allowed = ", ".join(JOINT_TYPES)
+            raise InputError(f"{file}: joint {quoted(name)} has type {quoted(kind)}; allowed are {allowed}")
         if joint.find("mimic") is not None:
-            raise InputError(f"{file}: joint {name!r} mimics another; describe the coupling as a loop")
+            raise InputError(f"{file}: joint {quoted(name)} mimics another; describe the coupling as a loop")
         ends = []
         for end in ("parent", "child"):
             element = joint.find(end)
-            link = "" if element is None else _attribute(element, "link", file, f"joint {name!r}: {end}")
+            link = "" if element is None else _attribute(element, "link", file, f"joint {quoted(name)}: {end}")
             if link not in links:
-                raise InputError(f"{file}: joint {name!r}: {end} link {link!r} does not exist; {nearest(link, links)}")
+                wrong = f"{end} link {quoted(link)} does not exist"
+                raise InputError(f"{file}: joint {quoted(name)}: {wrong}; {nearest(link, links)}")
             ends.append(link)
         if ends[1] in parent_of:
+            parents = f"{quoted(parent_of[ends[1]])} and {quoted(ends[0])}"
             raise InputError(
-                f"{file}: link {ends[1]!r} has two parents ({parent_of[ends[1]]!r} and {ends[0]!r}): a URDF must be a "
-                "tree; cut the loop there and close it with a [[loop]] in robot.toml"
+                f"{file}: link {quoted(ends[1])} has two parents ({parents}): a URDF must be a tree; cut the loop "
+                "there and close it with a [[loop]] in robot.toml"
             )
         parent_of[ends[1]] = ends[0]
         _check_numbers(joint, name, file)
@@ -101,14 +104,14 @@ def _check_tree(root, file: Path) -> str:
 def _check_connected(links: list[str], parent_of: Mapping[str, str], file: Path) -> str:
     roots = [link for link in links if link not in parent_of]
     if len(roots) != 1:
-        listed_roots = ", ".join(map(repr, roots[:4])) if roots else "none (the links form a ring)"
+        listed_roots = ", ".join(map(quoted, roots[:4])) if roots else "none (the links form a ring)"
         raise InputError(f"{file}: a URDF must be one tree with one root link; found {listed_roots}")
     for link in links:
         seen = {link}
         while link in parent_of:
             link = parent_of[link]
             if link in seen:
-                raise InputError(f"{file}: link {link!r} is its own ancestor: a URDF must be a tree")
+                raise InputError(f"{file}: link {quoted(link)} is its own ancestor: a URDF must be a tree")
             seen.add(link)
     return roots[0]
 
@@ -126,9 +129,10 @@ def _check_numbers(joint, name: str, file: Path) -> None:
                 values = []
             n, largest = (1, np.inf) if tag == "limit" else (3, MAX_NUMBER)
             if len(values) != n or not np.all(np.abs(values) < largest):
-                raise InputError(f"{file}: joint {name!r}: {tag} {attribute} is {text!r}; allowed are finite numbers")
+                shown = f"{tag} {attribute} is {quoted(text)}"
+                raise InputError(f"{file}: joint {quoted(name)}: {shown}; allowed are finite numbers")
             if tag == "axis" and np.linalg.norm(values) < 1e-9:
-                raise InputError(f"{file}: joint {name!r}: the axis is zero; allowed is a direction")
+                raise InputError(f"{file}: joint {quoted(name)}: the axis is zero; allowed is a direction")
 
 
 def _attribute(element, key: str, file: Path, label: str) -> str:

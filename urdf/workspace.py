@@ -8,7 +8,7 @@ import numpy as np
 
 from kincal.urdf.closed_chain import ClosedChain
 from kincal.urdf.description import Workspace
-from kincal.urdf.errors import InputError
+from kincal.urdf.errors import InputError, quoted
 from kincal.urdf.kinematics import (
     TOLERANCE,
     Closure,
@@ -178,7 +178,7 @@ def beyond_limits(chain: ClosedChain, q: np.ndarray) -> dict[int, str]:
     """{row: the first joint that is beyond the URDF's limits there} of configurations q: (n, n_joints)."""
     outside = np.argwhere((q < chain.lower - 1e-9) | (q > chain.upper + 1e-9))
     return {
-        int(row): f"joint {chain.joint_names[j]!r} would be at {q[row, j]:.6g}; "
+        int(row): f"joint {quoted(chain.joint_names[j])} would be at {q[row, j]:.6g}; "
         f"its limits are [{chain.lower[j]:.6g}, {chain.upper[j]:.6g}]"
         for row, j in outside[::-1]  # so that the first of a row stays
     }

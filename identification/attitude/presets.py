@@ -8,7 +8,7 @@ import numpy as np
 from scipy.constants import g
 
 from kincal.urdf.description import nearest
-from kincal.urdf.errors import InputError
+from kincal.urdf.errors import InputError, quoted
 
 _DEG, _MILLI_G = np.pi / 180, 1e-3 * g
 
@@ -83,5 +83,5 @@ PRESETS = {
 def preset(name: str) -> SensorPreset:
     """The preset of a name. Raises InputError that names the nearest one."""
     if name not in PRESETS:
-        raise InputError(f"sensor preset {name!r} is unknown; {nearest(name, list(PRESETS))}")
+        raise InputError(f"sensor preset {quoted(name)} is unknown; {nearest(name, list(PRESETS))}")
     return PRESETS[name]

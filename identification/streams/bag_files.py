@@ -7,7 +7,7 @@ import sqlite3
 from contextlib import closing
 from pathlib import Path
 
-from kincal.urdf.errors import InputError
+from kincal.urdf.errors import InputError, quoted, shortened
 from kincal.urdf.input_files import check_file
 
 MAX_METADATA = 1 << 20  # bytes of metadata.yaml
@@ -34,7 +34,7 @@ def _check_database(file: Path) -> None:
         with closing(sqlite3.connect(f"{file.absolute().as_uri()}?mode=ro&immutable=1", uri=True)) as database:
             tables = database.execute("select name, sql from sqlite_master where sql is not null limit 1000").fetchall()
     except (sqlite3.Error, ValueError, OverflowError) as error:
-        raise InputError(f"{file}: not a database that can be read: {error}") from None
+        raise InputError(f"{file}: not a database that can be read: {shortened(error)}") from None
     for name, sql in tables:
         if not _PLAIN.match(str(sql)) or _COMPUTED.search(str(sql)):
-            raise InputError(f"{file}: {str(name)!r} is no plain table or index, which are allowed")
+            raise InputError(f"{file}: {quoted(str(name))} is no plain table or index, which are allowed")

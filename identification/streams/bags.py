@@ -18,8 +18,8 @@ import pandas as pd
 from kincal.identification.measurement_table import UNITS
 from kincal.identification.streams.bag_files import check_bag
 from kincal.identification.streams.health import Tally
-from kincal.urdf.description import Column, Measure
-from kincal.urdf.errors import InputError
+from kincal.urdf.description import Column, Measure, listed
+from kincal.urdf.errors import InputError, quoted, shortened
 from kincal.urdf.input_files import bounded, bounded_each
 
 IMU, VECTOR = "sensor_msgs/msg/Imu", "geometry_msgs/msg/Vector3Stamped"
@@ -117,11 +117,11 @@ def _topic(file: Path, connections: list[Any], wanted: str | None) -> tuple[str,
     """The type and the connections of the topic that is read."""
     fitting = [c for c in connections if c.msgtype in (IMU, VECTOR)]
     topics = sorted({c.topic for c in fitting})
-    has = ", ".join(sorted({f"{c.topic} ({c.msgtype})" for c in connections})[:10]) or "none"
+    has = listed(sorted({f"{c.topic} ({c.msgtype})" for c in connections})) or "none"
     if wanted is None and len(topics) > 1:
-        raise InputError(f"{file}: topics {', '.join(topics)} all fit; set measure.log.topic to one of them")
+        raise InputError(f"{file}: topics {listed(topics)} all fit; set measure.log.topic to one of them")
     if not topics or (wanted is not None and wanted not in topics):
-        which = f"topic {wanted!r} is" if wanted else "there is"
+        which = f"topic {quoted(wanted)} is" if wanted else "there is"
         raise InputError(f"{file}: {which} none of {IMU} or {VECTOR}; it has {has}")
     chosen = [c for c in fitting if c.topic == (wanted or topics[0])]
     return chosen[0].msgtype, [c for c in chosen if c.msgtype == chosen[0].msgtype]
@@ -165,11 +165,12 @@ def _vector_chunk(file: Path, measure: Measure) -> Callable[[np.ndarray], pd.Dat
     for name, column in chosen.items():
         if column.source.removeprefix("vector.") not in source:
             raise InputError(
-                f"{file}: measure.columns.{name}: found {column.source!r}; of a Vector3Stamped allowed are x, y, z"
+                f"{file}: measure.columns.{name}: found {quoted(column.source)}; "
+                "of a Vector3Stamped allowed are x, y, z"
             )
     places = {name: (source[c.source.removeprefix("vector.")], UNITS[c.unit]) for name, c in chosen.items()}
     return lambda rows: pd.DataFrame({"t": rows[:, 0]} | {n: rows[:, k] * unit for n, (k, unit) in places.items()})
 
 
 def _first_line(error: Exception) -> str:
-    return f"{type(error).__name__}: {' '.join(str(error).split())[:200]}"
+    return shortened(f"{type(error).__name__}: {error}")

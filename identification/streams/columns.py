@@ -12,7 +12,7 @@ import pandas as pd
 from kincal.identification.measurement_table import UNITS
 from kincal.identification.table_files import floats
 from kincal.urdf.description import Column, Measure, listed
-from kincal.urdf.errors import InputError
+from kincal.urdf.errors import InputError, quoted
 
 REQUIRED = ("t", "roll", "pitch")
 OPTIONAL = ("yaw", *(f"{sensor}_{axis}" for sensor in ("gyro", "acc") for axis in "xyz"), "heave")
@@ -35,7 +35,7 @@ def mapped(names: Sequence[str], measure: Measure, file: Path, by_pose: bool) ->
         elif name in needed:
             hint = "; a command log (measure.commands) does without" if name == "pose" else ""
             has = listed(names)
-            raise InputError(f"{file}: column {column.source!r} is missing from the stream; it has {has}{hint}")
+            raise InputError(f"{file}: column {quoted(column.source)} is missing from the stream; it has {has}{hint}")
     return columns
 
 

@@ -13,7 +13,7 @@ from kincal.identification.measurement_table import numbers
 from kincal.identification.streams.columns import times
 from kincal.identification.table_files import floats, load
 from kincal.urdf.description import Column, Measure, listed
-from kincal.urdf.errors import InputError
+from kincal.urdf.errors import InputError, quoted
 
 _TRAJECTORY = 1.0  # [s] a single row that holds for less is a point of a trajectory, no target
 
@@ -54,7 +54,8 @@ def read_commands(file: Path, joints: Sequence[str], measure: Measure) -> Holds:
             columns[name] = numbers(values.tolist(), column, file)
         elif name != "pose":
             has = listed(raw.columns)
-            raise InputError(f"{file}: column {column.source!r} ({name}) is missing from the command log; it has {has}")
+            missing = f"column {quoted(column.source)} ({name}) is missing from the command log"
+            raise InputError(f"{file}: {missing}; it has {has}")
     t = columns.pop("t")
     if len(t) < 2:
         raise InputError(f"{file}: {len(t)} rows; a command log needs at least two")

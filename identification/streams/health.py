@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from kincal.urdf.errors import InputError
+from kincal.urdf.errors import InputError, quoted
 
 _FAULTS = {
     "garbage": "are no readable record",
@@ -57,9 +57,9 @@ class StreamHealth:
         """One line each of what is wrong; empty for a clean stream."""
         lines = [f"{n} of {self.read} records {text}" for name, text in _FAULTS.items() if (n := getattr(self, name))]
         for text, counts in (("stuck", self.stuck), ("saturated", self.saturated)):
-            lines += [f"channel {channel!r} is {text} for {n} samples" for channel, n in counts.items()]
-        lines += [f"channel {channel!r} never changes" for channel in self.constant]
-        lines += [f"channel {channel!r} is left out: too many samples lack it" for channel in self.sparse]
+            lines += [f"channel {quoted(channel)} is {text} for {n} samples" for channel, n in counts.items()]
+        lines += [f"channel {quoted(channel)} never changes" for channel in self.constant]
+        lines += [f"channel {quoted(channel)} is left out: too many samples lack it" for channel in self.sparse]
         if self.gaps:
             lines.append(f"{self.gaps} gaps, the longest {self.longest_gap:.3g} s")
         if self.clock_steps:

@@ -19,7 +19,7 @@ import pandas as pd
 from kincal.identification.streams.health import Tally
 from kincal.identification.streams.nmea_time import Clock, FromSentences, FromStamps, Nominal, stamped
 from kincal.urdf.description import Log
-from kincal.urdf.errors import InputError
+from kincal.urdf.errors import InputError, quoted
 from kincal.urdf.input_files import unreadable
 from kincal.urdf.rigid_motion import wrap
 
@@ -44,7 +44,8 @@ class Attitude:
 def logged(file: Path, log: Log, tally: Tally) -> Iterator[pd.DataFrame]:
     """Chunks of t, roll, pitch, yaw, heave in SI units and radians; NaN for what a sentence does not say."""
     if log.topic is not None and log.topic.upper() not in ATTITUDE:
-        raise InputError(f"{file}: measure.log.topic: found {log.topic!r}; of NMEA allowed are {', '.join(ATTITUDE)}")
+        allowed = f"of NMEA allowed are {', '.join(ATTITUDE)}"
+        raise InputError(f"{file}: measure.log.topic: found {quoted(log.topic)}; {allowed}")
     try:
         with open(file, "rb") as stream:
             head = list(islice(_lines(stream), _HEAD))

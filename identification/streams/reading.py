@@ -17,7 +17,7 @@ from kincal.identification.streams.repeats import Repeats
 from kincal.identification.streams.timeline import Timeline
 from kincal.urdf.description import Measure
 from kincal.urdf.errors import InputError
-from kincal.urdf.input_files import check_file, unreadable
+from kincal.urdf.input_files import check_file, check_records, kept, unreadable
 
 _MOSTLY = 0.9  # of the samples: an optional channel that fewer have is left out
 _FARTHEST = 1e12  # beyond it a number is no time, no angle, nor a pose's
@@ -43,6 +43,7 @@ class Stream:
         self._tally, self._repeats, self._health = Tally(), {}, None
         for chunk in self._by_pose() if self.by_pose else self._cleaned():
             self._tally.samples += len(chunk)
+            check_records(self.file, self._tally.read)
             yield chunk
         self._tally.constant = tuple(name for name, channel in self._repeats.items() if channel.constant)
         self._health = self._tally.health(self.file.name, self.form).require(self.file)
@@ -69,7 +70,7 @@ class Stream:
 
     def _by_pose(self) -> Iterator[pd.DataFrame]:
         """All samples at once: a pose's may stand anywhere in the file."""
-        whole = together([self._posed(self._finite(raw)) for raw in self._raw()])
+        whole = together(list(kept(self.file, (self._posed(self._finite(raw)) for raw in self._raw()))))
         if not len(whole):
             return
         unfrozen = self._unfrozen(in_order(whole, self._tally))
@@ -134,7 +135,7 @@ def read_log(file: Path, measure: Measure) -> tuple[pd.DataFrame, StreamHealth]:
     An optional channel is kept where nine samples in ten have it, and then those without it are left out.
     """
     stream = open_stream(file, measure)
-    return complete(together(list(stream))), stream.health
+    return complete(together(list(kept(file, stream)))), stream.health
 
 
 def read_stream(file: Path, measure: Measure) -> tuple[pd.DataFrame, StreamHealth]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -17,7 +18,8 @@ from kincal.identification.streams.repeats import STUCK
 from kincal.identification.streams.stillness import binned
 from kincal.identification.streams.windows import Window, still_windows
 from kincal.urdf.description import Measure
-from kincal.urdf.errors import InputError
+from kincal.urdf.errors import InputError, quoted
+from kincal.urdf.input_files import kept
 
 _LEAST = 5  # samples a pose
 
@@ -41,10 +43,10 @@ def static_poses(measure: Measure, joints: Sequence[str]) -> StaticPoses:
     log, file = measure.log, measure.streams
     holds = read_commands(measure.commands, joints, measure)
     stream = open_stream(file, measure)
-    bins = binned(stream)
+    bins = binned(stream, file)
     offset = estimate_offset(bins, holds, file) if log.offset_seconds is None else ClockOffset(log.offset_seconds)
     windows, dropped = still_windows(bins, holds, offset.seconds, log)
-    samples = _telling(_within(stream, windows), measure)
+    samples = _telling(_within(file, stream, windows), measure)
     dropped += _unusable(samples, [w.pose for w in windows])
     bad = {d.pose for d in dropped}
     rows = [w.row for w in windows if w.pose not in bad]
@@ -52,24 +54,25 @@ def static_poses(measure: Measure, joints: Sequence[str]) -> StaticPoses:
         reasons = "; ".join(f"pose {d.pose}: {d.reason}" for d in dropped[:3])
         raise InputError(f"{file}: none of {len(holds)} commanded poses is left: {reasons}")
     table = pd.DataFrame({"pose": holds.pose[rows]} | {n: holds.joints[rows, k] for k, n in enumerate(joints)})
-    kept = samples.loc[~np.isin(samples["pose"], sorted(bad))].reset_index(drop=True)
+    used = samples.loc[~np.isin(samples["pose"], sorted(bad))].reset_index(drop=True)
     left_out = tuple(sorted(dropped, key=lambda d: d.pose))
-    return StaticPoses(table, kept, Campaign(stream.health, offset, len(holds), len(table), left_out))
+    return StaticPoses(table, used, Campaign(stream.health, offset, len(holds), len(table), left_out))
 
 
-def _within(chunks: Iterable[pd.DataFrame], windows: list[Window]) -> pd.DataFrame:
+def _within(file: Path, chunks: Iterable[pd.DataFrame], windows: list[Window]) -> pd.DataFrame:
     """The samples inside the windows, with their pose."""
     begin, end, pose = (np.array([getattr(w, name) for w in windows]) for name in ("begin", "end", "pose"))
-    assigned = []
-    for chunk in chunks:
+
+    def inside(chunk: pd.DataFrame) -> pd.DataFrame:
         t = chunk["t"].to_numpy(float)
         k = np.searchsorted(begin, t, side="right") - 1
-        inside = (k >= 0) & (t < np.append(end, -np.inf)[k])
-        if inside.any():
-            part = chunk[inside].copy()
-            part.insert(1, "pose", pose[k[inside]])
-            assigned.append(part)
-    return complete(pd.concat(assigned)) if assigned else pd.DataFrame({"t": [], "pose": []})
+        good = (k >= 0) & (t < np.append(end, -np.inf)[k])
+        part = chunk[good].copy()
+        part.insert(1, "pose", pose[k[good]])
+        return part
+
+    parts = [part for part in kept(file, map(inside, chunks)) if len(part)]
+    return complete(pd.concat(parts)) if parts else pd.DataFrame({"t": [], "pose": []})
 
 
 def _telling(samples: pd.DataFrame, measure: Measure) -> pd.DataFrame:
@@ -93,5 +96,5 @@ def _unusable(samples: pd.DataFrame, poses: list[int]) -> list[DroppedPose]:
     values = samples.groupby("pose")[[c for c in ANGLES if c in samples]].nunique()
     for channel in values:
         for p in pose[(np.asarray(values[channel]) == 1) & (count >= STUCK)].tolist():
-            dropped[p] = f"channel {channel!r} is stuck for all {counts[p]} samples"
+            dropped[p] = f"channel {quoted(channel)} is stuck for all {counts[p]} samples"
     return [DroppedPose(p, reason) for p, reason in dropped.items()]

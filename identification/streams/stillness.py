@@ -9,14 +9,18 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
 
+from kincal.urdf.errors import InputError
+from kincal.urdf.input_files import check_records
 from kincal.urdf.rigid_motion import wrap
 
 CHANNELS = ("roll", "pitch", "gyro_x", "gyro_y", "gyro_z")
 _SAMPLES, _SECONDS = 5, 0.2  # a bin holds at least so many, and lasts at least so long
+_MOST_SAMPLES = 1_000_000  # that a bin may hold
 _SIGMAS = 6.0
 _MEDIAN = 1.2533  # sigma of a median of n samples, times sqrt(n) (normal)
 _NORMAL, _QUARTER = 0.67449, 0.31864  # median and first quartile of a standard normal variable's absolute value
@@ -63,12 +67,14 @@ class Bins:
         return _MEDIAN * self.noise / np.sqrt(self.samples)
 
 
-def binned(chunks: Iterable[pd.DataFrame]) -> Bins:
-    """Medians of a whole stream; the chunks themselves are not kept."""
+def binned(chunks: Iterable[pd.DataFrame], file: Path) -> Bins:
+    """Medians of a whole stream; the chunks themselves are not kept. Raises InputError where too much would be."""
     width, origin, channels = 0.0, 0.0, list(CHANNELS)
     held: pd.DataFrame | None = None
     starts, medians, counts, noises = [], [], [], []
+    n_samples = n_kept = 0
     for chunk in chunks:
+        n_samples += len(chunk)
         if not len(chunk):
             continue
         held = chunk if held is None else pd.concat([held, chunk])
@@ -80,10 +86,15 @@ def binned(chunks: Iterable[pd.DataFrame]) -> Bins:
         index = np.floor((t - origin) / width)
         whole = index < index[-1]  # the last bin may go on in the next chunk
         if not whole.any():
+            if len(held) > _MOST_SAMPLES:  # they are kept until the next bin begins
+                many = f"{len(held)} samples within {width:.3g} s; allowed are {_MOST_SAMPLES}"
+                raise InputError(f"{file}: {many}. Check the unit of t")
             continue
         channels = [c for c in channels if c in held]
         _add(held.iloc[whole], index[whole], channels, origin, width, (starts, medians, counts, noises))
         held = held.iloc[~whole]
+        n_kept += medians[-1].size
+        check_records(file, n_samples, n_kept)
     if held is not None and width:
         index = np.floor((held["t"].to_numpy(float) - origin) / width)
         _add(held, index, [c for c in channels if c in held], origin, width, (starts, medians, counts, noises))

@@ -16,7 +16,7 @@ from kincal.identification.streams.columns import OPTIONAL, REQUIRED, mapped, va
 from kincal.identification.streams.health import Tally
 from kincal.identification.table_files import TABLE_NAMES, decoded, header, parquet, readable
 from kincal.urdf.description import Measure
-from kincal.urdf.input_files import bounded_each
+from kincal.urdf.input_files import bounded_each, check_records
 
 ROWS = 50_000  # a chunk
 _LONGEST = 1 << 16  # bytes of a line: beyond it is garbage
@@ -54,6 +54,8 @@ def _parquet(file: Path, measure: Measure, by_pose: bool, tally: Tally) -> Itera
     with parquet(file) as (table, names):
         columns = mapped(names, measure, file, by_pose)
         sources = [c.source for c in columns.values()]
+        rows = table.metadata.num_rows
+        check_records(file, rows, rows * len(sources) if by_pose else 0)
         batches = table.iter_batches(batch_size=ROWS, columns=sources, use_threads=False)
         for raw in bounded_each(file, (decoded(file, batch) for batch in batches)):
             tally.read += len(raw)

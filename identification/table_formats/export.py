@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from kincal.identification.channels.orientation import QUATERNION
 from kincal.urdf.description import Measure, listed
-from kincal.urdf.errors import InputError
+from kincal.urdf.errors import InputError, quoted
 
 POSITION = ("x", "y", "z")
 HEAD = 60  # lines that are looked at
@@ -66,7 +66,7 @@ def chosen(targets: Sequence[Target], body: str | None, file: Path) -> Target:
     else:
         candidates = [t for t in targets if t.name == body]
         candidates = [t for t in candidates if t.rotation] or candidates
-        problem = f"measure.body: {len(candidates) or 'no'} rigid body or marker has the name {body!r}"
+        problem = f"measure.body: {len(candidates) or 'no'} rigid body or marker has the name {quoted(body)}"
         names = [*names, *(target.name for target in targets if not target.rotation)] if bodies else names
     if len(candidates) == 1:
         return candidates[0]
@@ -118,6 +118,6 @@ def described(table: pd.DataFrame, source: Source, form: str, target: Target) ->
     gaps = int(table[POSITION[0]].isna().sum())
     kind = "rigid body" if target.rotation else "marker"
     without = f", {gaps} of them without it" if gaps else ""
-    note = f"{source.file}: a {form} export: read {kind} {target.name!r} in {len(table)} frames{without}"
+    note = f"{source.file}: a {form} export: read {kind} {quoted(target.name)} in {len(table)} frames{without}"
     table.attrs.update(notes=(note,), export=form)
     return table

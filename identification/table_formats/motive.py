@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 
 from kincal.identification.table_formats.export import Source, Target, cells, chosen, described, frames, quaternions
 from kincal.urdf.description import EULER_ORDERS, Measure
-from kincal.urdf.errors import InputError
+from kincal.urdf.errors import InputError, quoted
 
 _LENGTHS = {"meters": 1.0, "centimeters": 1e-2, "millimeters": 1e-3, "inches": 0.0254, "feet": 0.3048}
 _BODIES, _MARKERS = ("rigid body", "bone", "trained markerset"), ("marker",)  # of markers: those that were seen
@@ -97,7 +97,9 @@ def _rotation(header: _Header, values: np.ndarray, target: Target, source: Sourc
     by_axis = {header.axes[k]: values[:, i] for i, k in enumerate(target.rotation)}
     if not {"X", "Y", "Z"} <= set(by_axis):
         shown = ", ".join(by_axis)
-        raise InputError(f"{source.file}: rotation of {target.name!r}: found the columns {shown}; needed are X, Y, Z")
+        raise InputError(
+            f"{source.file}: rotation of {quoted(target.name)}: found the columns {shown}; needed are X, Y, Z"
+        )
     if "W" in by_axis:
         return _of_quaternions(np.column_stack([by_axis[axis] for axis in "XYZW"]), source)
     allowed = tuple(order for order in EULER_ORDERS if len(set(order)) == 3)
@@ -122,7 +124,7 @@ def _setting(header: _Header, key: str, source: Source, allowed: Sequence[str]) 
     known = next((text for text in allowed if text.casefold() == value.split(" ")[0].casefold()), None)
     if known is None:
         shown = ", ".join(text for text in allowed if not text.islower() or allowed[0].islower())
-        raise InputError(f"{source.file}: first line, {key}: found {value!r}; allowed are {shown}")
+        raise InputError(f"{source.file}: first line, {key}: found {quoted(value)}; allowed are {shown}")
     return known
 
 

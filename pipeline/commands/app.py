@@ -13,7 +13,7 @@ from rich.text import Text
 
 from kincal.pipeline.commands.console import PipedConsole
 from kincal.pipeline.interface.progress import err
-from kincal.urdf.errors import CalibrationError, InputError, of_system, one_line
+from kincal.urdf.errors import OUT_OF_MEMORY, CalibrationError, InputError, of_system, one_line
 from kincal.version import __version__
 
 app = App(
@@ -46,7 +46,7 @@ class _Warnings(logging.Handler):
     """What the library warns of, on stderr."""
 
     def emit(self, record: logging.LogRecord) -> None:
-        err.print(Text(f"warning: {record.getMessage()}", style="yellow"), soft_wrap=True)
+        err.print(Text(f"warning: {one_line(record.getMessage())}", style="yellow"), soft_wrap=True)
 
 
 def main(arguments: list[str] | None = None) -> None:
@@ -76,6 +76,8 @@ def _status(call: Callable[[], Any]) -> int:
         return _say(str(error), 1)
     except KeyboardInterrupt:
         return _say("interrupted", 130)
+    except MemoryError:
+        return _say(OUT_OF_MEMORY, 1)
     except BrokenPipeError:
         sys.stderr.close()
         return 0

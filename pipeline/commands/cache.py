@@ -123,6 +123,7 @@ def verify(robot: Robot, *, json: Json = False, common: Common = COMMON) -> None
             same = "the same bytes" if result.derived.same_bytes else f"differs by {result.derived.largest:.2g} at most"
             code = ", by code that has changed since" if result.derived.code_changed else ""
             out.print(Text(f"comparison, made once more of the stored inputs{code}: {same}"), soft_wrap=True)
+        out.print(Text(result.promise), soft_wrap=True)
     if result.problems:
         more = f" and {len(result.problems) - 1} more" if len(result.problems) > 1 else ""
         raise CalibrationError(f"{result.robot}: {result.problems[0]}{more}")

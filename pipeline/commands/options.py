@@ -17,7 +17,9 @@ Robot = Annotated[str, Parameter(help="A shipped robot's name, the path to a rob
 Flag = Annotated[bool, Parameter(negative=())]
 All = Annotated[bool, Parameter(name="--all", negative=(), help="All shipped robots, or all of --from.")]
 From = Annotated[Path | None, Parameter(name="--from", help="A fleet file, or a folder of robots' folders.")]
-On = Annotated[str, Parameter(help="How many worker processes (1: this process), or dask://host:port.")]
+On = Annotated[
+    str, Parameter(help="How many worker processes (1: this process), dask://host:port, or tls://host:port.")
+]
 Json = Annotated[bool, Parameter(name="--json", negative=(), help="One JSON document on stdout.")]
 JsonInstead = Annotated[Json, Parameter(help="One JSON document on stdout instead.")]
 

@@ -31,7 +31,7 @@ def sweep(
     seeds
         How many seeds, from 0; 1: the robot's own.
     on
-        How many worker processes (1: this process), or dask://host:port.
+        How many worker processes (1: this process), dask://host:port, or tls://host:port.
     output
         The folder of sweep.parquet and sweep.svg (default: the robot's folder in the store).
     """
@@ -80,7 +80,7 @@ def reproduce(
     quick
         A preview in about half a minute: fewer sizes and seeds, wider intervals.
     on
-        How many worker processes (1: this process), or dask://host:port.
+        How many worker processes (1: this process), dask://host:port, or tls://host:port.
     output
         The folder of index.html, the figures, the tables and results.json.
     """

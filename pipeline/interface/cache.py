@@ -62,11 +62,13 @@ def collect(
     unfinished: also what sweeps made that did not come to their end. gone: also robots whose robot.toml is gone.
     """
     from kincal.pipeline.store.garbage import free, garbage, unreferenced
+    from kincal.pipeline.store.ownership import warn_of_others
     from kincal.pipeline.store.store import Store
 
     if not Path(store).is_dir():
         raise InputError(f"--store {store}: no such folder")
     kept = Store(Path(store))
+    warn_of_others(kept.root)
     unused = garbage(kept, unfinished=unfinished, gone=gone, keep_damaged=keep_damaged)
     freed = unused.found if dry_run else free(kept, unused.found)
     remarks = tuple(unreferenced(unused.roots, gone=gone, unfinished=unfinished))

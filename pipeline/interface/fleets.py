@@ -111,7 +111,7 @@ def fleet(
     until
         The last stage to run.
     workers
-        How many worker processes (1: this process), or `dask://host:port`.
+        How many worker processes (1: this process), `dask://host:port`, or `tls://host:port`.
     store
         The folder of cached results. Default: a temporary folder, removed at the end.
     output

@@ -74,7 +74,7 @@ def reproduce(
     quick
         A preview with fewer sizes and seeds: the same tables and figures, wider intervals.
     workers
-        How many worker processes (1: this process), or `dask://host:port`.
+        How many worker processes (1: this process), `dask://host:port`, or `tls://host:port`.
     settings
         Values that replace those of robot.toml, as in `load`.
     store

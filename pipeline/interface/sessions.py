@@ -12,6 +12,7 @@ from kincal.pipeline.interface.progress import StageObserver, stage_observer
 from kincal.pipeline.interface.robots import RobotLike, robot_of
 from kincal.pipeline.run.runner import Run
 from kincal.pipeline.run.stage import all_stages
+from kincal.pipeline.store.ownership import warn_of_others
 from kincal.pipeline.store.store import Store
 from kincal.urdf.description import nearest
 from kincal.urdf.errors import InputError
@@ -35,6 +36,7 @@ def opened(
         raise InputError(f"--force-from {force_from}: no such stage; {nearest(force_from, all_stages())}")
     loaded = robot_of(robot)
     folder = temporary_folder() if store is None else path("store", store)
+    warn_of_others(folder)
     session = Run(loaded, Store(folder), force_from, stage_observer(progress, loaded.description.name), command)
     if store is None:
         weakref.finalize(session, shutil.rmtree, folder, ignore_errors=True)

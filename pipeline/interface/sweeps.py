@@ -107,7 +107,7 @@ def sweep(
     seeds
         How many seeds, from 0. 1: the robot's own.
     workers
-        How many worker processes (1: this process), or `dask://host:port`.
+        How many worker processes (1: this process), `dask://host:port`, or `tls://host:port`.
     store
         The folder of cached results. Default: a temporary folder, removed at the end.
     output

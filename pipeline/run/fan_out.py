@@ -23,7 +23,7 @@ from kincal.pipeline.run.workers import STILL_WANTED, JobExecutor, undisturbed
 from kincal.pipeline.store.manifest import Entry
 from kincal.pipeline.store.store import Store
 from kincal.urdf.description import RobotDescription, as_absolute
-from kincal.urdf.errors import CalibrationError, InputError, of_system
+from kincal.urdf.errors import OUT_OF_MEMORY, CalibrationError, InputError, of_system
 from kincal.urdf.fleet import is_unit, load
 
 
@@ -210,6 +210,8 @@ def _outcome(future: Future[Outcome]) -> Outcome | Failure:
         return Failure(error)
     except OSError as error:  # a folder that may not be looked into, a name that is too long
         return Failure(InputError(of_system(error)))
+    except MemoryError:
+        return Failure(CalibrationError(OUT_OF_MEMORY))
 
 
 def _all_after(k: int, unblocks: Mapping[int, Iterable[int]]) -> list[int]:

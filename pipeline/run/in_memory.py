@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from typing import Any
 
+from kincal.pipeline.run.memory import within_memory
 from kincal.pipeline.run.runner import Event
 from kincal.pipeline.run.stage import all_stages
 from kincal.pipeline.run.threads import fixed_threads
@@ -39,7 +40,7 @@ class InMemory:
         settings = {setting: getattr(self._description, setting) for setting in stage.settings}
         self._observe(Event(name, "running"))
         try:
-            with fixed_threads(stage.libraries):
+            with within_memory(name), fixed_threads(stage.libraries):
                 value = stage.call(inputs | settings)
         except FloatingPointError as error:
             raise CalibrationError(f"{name}: {error}") from None

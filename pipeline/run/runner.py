@@ -15,6 +15,7 @@ from pydantic_core import to_jsonable_python
 from kincal.pipeline.results import Report
 from kincal.pipeline.run.changes import change, explain, file_digest
 from kincal.pipeline.run.fingerprint import Code
+from kincal.pipeline.run.memory import within_memory
 from kincal.pipeline.run.provenance import published
 from kincal.pipeline.run.stage import Stage, all_stages, needed, version
 from kincal.pipeline.run.threads import fixed_threads
@@ -89,7 +90,8 @@ class Run:
         wanted = {stage.name for name in names for stage in needed(name)}
         for stage in (s for s in all_stages().values() if s.name in wanted):
             forced = forced or stage.name == self.force_from
-            self._bring(stage, forced)
+            with within_memory(stage.name):
+                self._bring(stage, forced)
 
     def _bring(self, stage: Stage, forced: bool) -> None:
         parts = self.key_parts(stage)

@@ -15,6 +15,7 @@ from kincal.pipeline.run.stage import all_stages
 from kincal.pipeline.store.codec import encode
 from kincal.pipeline.store.digests import digest
 from kincal.pipeline.store.manifest import Damaged, Entry, read_json
+from kincal.pipeline.store.ownership import PROMISE
 from kincal.pipeline.store.store import Store
 from kincal.urdf.errors import InputError
 
@@ -53,6 +54,7 @@ class Verified:
     studies: Mapping[str, int] = field(default_factory=dict)  # {note: artifacts that it names}
     derived: Derived | None = None  # None: there is no comparison, or its inputs are damaged
     others: tuple[str, ...] = ()  # problems beside those of the stages
+    promise: str = PROMISE  # what a seal is worth
 
     @property
     def problems(self) -> list[str]:

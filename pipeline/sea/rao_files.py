@@ -10,7 +10,7 @@ from scipy.constants import knot
 
 from kincal.pipeline.sea.rao import MODES, RaoTable
 from kincal.urdf.description import Column, listed
-from kincal.urdf.errors import InputError
+from kincal.urdf.errors import InputError, quoted, shortened
 from kincal.urdf.input_files import bounded, check_file
 
 if TYPE_CHECKING:
@@ -57,7 +57,7 @@ def _own(file: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         raise InputError(f"{file}: it has no row; needed are at least two frequencies, and directions")
     for name in raw.columns:
         if name not in _KNOWN:
-            raise InputError(f"{file}: unknown column {name!r}; allowed are {', '.join(_KNOWN)}")
+            raise InputError(f"{file}: unknown column {quoted(name)}; allowed are {', '.join(_KNOWN)}")
     speed = _column(raw, "speed_knots", file) * knot if "speed_knots" in raw else np.zeros(len(raw))
     at = [speed, _column(raw, "frequency", file), np.deg2rad(_column(raw, "direction_deg", file))]
     axes = [np.unique(values) for values in at]
@@ -81,7 +81,7 @@ def _column(raw: pd.DataFrame, name: str, file: Path) -> np.ndarray:
     from kincal.identification.measurement_table import numbers
 
     if name not in raw:
-        raise InputError(f"{file}: column {name!r} is missing; it has {listed(raw.columns)}")
+        raise InputError(f"{file}: column {quoted(name)} is missing; it has {listed(raw.columns)}")
     return numbers(raw[name].tolist(), Column.model_validate({"from": name}), file)
 
 
@@ -100,15 +100,15 @@ def _mss(file: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     except InputError:
         raise
     except Exception as error:  # of a damaged file scipy's reader raises whatever it stumbles over
-        raise InputError(f"{file}: not a MATLAB file that can be read: {' '.join(str(error).split())[:200]}") from None
+        raise InputError(f"{file}: not a MATLAB file that can be read: {shortened(error)}") from None
     try:
         vessel = content["vessel"]
         rao, headings, speeds = vessel.motionRAO, vessel.headings, np.atleast_1d(vessel.velocities).astype(float)
         amplitude, phase = (np.stack(list(part), axis=-1).astype(float) for part in (rao.amp, rao.phase))
         frequency = np.asarray(rao.w, dtype=float)
     except (KeyError, AttributeError, TypeError, ValueError) as error:
-        why = " ".join(str(error).split())[:200]
-        raise InputError(f"{file}: no vessel structure with motionRAO.amp, .phase and .w: {why}") from None
+        why = f"no vessel structure with motionRAO.amp, .phase and .w: {shortened(error)}"
+        raise InputError(f"{file}: {why}") from None
     if amplitude.ndim == 3:  # a single speed's axis is squeezed away
         amplitude, phase = amplitude[:, :, None], phase[:, :, None]
     expected = (len(frequency), len(headings))

@@ -47,6 +47,8 @@ class Store:
         files = self.files(entry)
         try:
             return decode(files, kind)
+        except MemoryError:  # the artifact is as it was
+            raise
         except Exception as error:  # whole, but written by another version of the formats
             problem = f"not readable as {kind.__name__} ({type(error).__name__})"
             raise Damaged(f"{entry.folder}: {problem}", entry.folder, entry.text) from None

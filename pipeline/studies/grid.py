@@ -12,7 +12,7 @@ from itertools import product
 from math import prod
 from typing import Any
 
-from kincal.urdf.errors import InputError
+from kincal.urdf.errors import InputError, quoted
 from kincal.urdf.input_files import parse_toml
 from kincal.urdf.toml_values import as_toml
 
@@ -70,7 +70,7 @@ def parse_over(text: str) -> Over:
 def over_of(key: str, values: Sequence[Any]) -> Over:
     """A key and its values, as Python has them. Raises InputError."""
     if isinstance(values, str) or not isinstance(values, Iterable) or not (listed := list(values)):
-        raise InputError(f"over {key}: found {values!r}; allowed is a list of values, [20, 50]")
+        raise InputError(f"over {key}: found {quoted(values)}; allowed is a list of values, [20, 50]")
     texts = tuple(as_toml(value, f"over {key}") for value in listed)
     repeated = next((text for text, n in Counter(texts).items() if n > 1), None)
     if repeated is not None:

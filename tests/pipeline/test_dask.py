@@ -1,6 +1,7 @@
 """A Dask cluster: the same results, one line for what is wrong with it, and nothing left behind."""
 
 import logging
+import os
 import time
 from pathlib import Path
 
@@ -8,9 +9,10 @@ import pytest
 
 from kincal.pipeline.run import dask_workers
 from kincal.pipeline.run.executor import Place, executor
-from kincal.pipeline.run.fan_out import Job, run_all
+from kincal.pipeline.run.fan_out import Failure, Job, _outcome, run_all
+from kincal.pipeline.run.workers import WorkerDied
 from kincal.urdf.description import load_robot
-from kincal.urdf.errors import InputError
+from kincal.urdf.errors import CalibrationError, InputError
 
 
 @pytest.fixture(scope="module")
@@ -77,6 +79,26 @@ def test_a_worker_that_dies_costs_its_stage_alone(scheduler, tmp_path, dies_once
     with executor(Place(0, scheduler), tmp_path) as workers:
         workers.submit(exec, dies_once(tmp_path)).result()
     assert (tmp_path / "passed").read_text() == "cached cached ran"
+
+
+def test_a_job_that_kills_each_worker(scheduler, tmp_path, monkeypatch):
+    """As where the system ends what takes too much memory. A nanny starts the worker anew, with another address."""
+    monkeypatch.setattr(dask_workers, "_LOOK", 0.1)
+    with executor(Place(0, scheduler), tmp_path) as workers:
+        with pytest.raises(WorkerDied, match="each worker that took it died: killed, or out of memory"):
+            workers.submit(os._exit, 1).result(timeout=60)
+        assert workers.submit(eval, "6 * 7").result(timeout=20) == 42
+
+
+def test_a_job_that_needs_too_much_memory(scheduler, tmp_path):
+    """Where the worker itself notices."""
+    raises = "raise MemoryError"
+    for on in (Place(0, scheduler), Place(1)):
+        with executor(on, tmp_path) as workers:
+            failure = _outcome(workers.submit(exec, raises))
+        assert isinstance(failure, Failure)
+        assert isinstance(failure.error, CalibrationError)
+        assert "out of memory; finished results stay in the store" in str(failure.error)
 
 
 WAITS = """
@@ -183,8 +205,6 @@ def test_workers_that_do_not_see_the_files(scheduler, tmp_path, monkeypatch):
 
 
 def test_what_is_lost_is_said(scheduler, tmp_path, monkeypatch):
-    from kincal.urdf.errors import CalibrationError
-
     monkeypatch.setattr(dask_workers, "_LOST", 0.2)
     monkeypatch.setattr(dask_workers, "_LOOK", 0.1)
 
