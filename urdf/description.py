@@ -36,7 +36,7 @@ Positive = Annotated[float, Field(gt=0)]
 NotNegative = Annotated[float, Field(ge=0)]
 File = Annotated[Path, Field(strict=False)]
 Seed = Annotated[int, Field(ge=0, lt=2**32)]
-Unit = Literal["m", "mm", "cm", "in", "rad", "deg", "rev", "1"]
+Unit = Literal["m", "mm", "cm", "in", "rad", "deg", "rev", "s", "ms", "us", "ns", "1"]
 Layout = Literal["grid", "random", "d_optimal"]
 
 SENSORS: dict[str, tuple[Literal["deg", "mm"], float]] = {  # each channel's unit in [sensor], and its usual sigma

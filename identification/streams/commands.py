@@ -10,8 +10,9 @@ import numpy as np
 import pandas as pd
 
 from kincal.identification.measurement_table import numbers
-from kincal.identification.streams.columns import times
-from kincal.identification.table_files import floats, load
+from kincal.identification.streams.columns import sources, times
+from kincal.identification.table_files import load
+from kincal.identification.time_stamps import ALLOWED, FARTHEST, Midnights
 from kincal.urdf.description import Column, Measure, listed
 from kincal.urdf.errors import InputError
 
@@ -35,26 +36,22 @@ class Holds:
 
 
 def read_commands(file: Path, joints: Sequence[str], measure: Measure) -> Holds:
-    """A command log: `t` [s or ISO 8601], a column a joint, and `pose` where targets have numbers.
+    """A command log: `t` (see time_stamps), a column a joint, and `pose` where targets have numbers.
 
     A row holds from its time to the next row's: targets alone, or a controller's set points many times a second.
     Raises InputError that names the column, the row and the value.
     """
     raw = load(file, measure, joints)
+    maps = sources([str(name) for name in raw.columns], ("t", *joints, "pose"), measure)
     columns = {}
     for name in ("t", *joints, "pose"):
-        column = measure.columns.get(name, Column.model_validate({"from": name}))
-        if column.source not in raw.columns and name in raw.columns:
-            column = Column.model_validate({"from": name})
-        if column.source in raw.columns:
-            values = pd.Series(raw[column.source])
-            if name == "t" and not pd.api.types.is_numeric_dtype(values):
-                seconds = times(values, floats(values))
-                values = values.where(~np.isfinite(seconds), pd.Series(seconds, dtype=object, index=values.index))
-            columns[name] = numbers(values.tolist(), column, file)
+        if name in maps:
+            columns[name] = (
+                _times(raw, maps, file) if name == "t" else numbers(raw[maps[name].source].tolist(), maps[name], file)
+            )
         elif name != "pose":
-            has = listed(raw.columns)
-            raise InputError(f"{file}: column {column.source!r} ({name}) is missing from the command log; it has {has}")
+            source, has = measure.columns[name].source if name in measure.columns else name, listed(raw.columns)
+            raise InputError(f"{file}: column {source!r} ({name}) is missing from the command log; it has {has}")
     t = columns.pop("t")
     if len(t) < 2:
         raise InputError(f"{file}: {len(t)} rows; a command log needs at least two")
@@ -69,6 +66,17 @@ def read_commands(file: Path, joints: Sequence[str], measure: Measure) -> Holds:
         row = int(np.argmax(pose != np.round(pose)))
         raise InputError(f"{file}: column 'pose', row {row + 1}: found {pose[row]:g}; allowed are whole numbers")
     return _holds(t, np.column_stack(list(columns.values())), pose)
+
+
+def _times(raw: pd.DataFrame, columns: dict[str, Column], file: Path) -> np.ndarray:
+    """(n,) [s]. Raises InputError that names the row."""
+    seconds, source = times(raw, columns), columns["t"].source
+    bad = np.flatnonzero(~(np.abs(seconds) < FARTHEST))
+    if len(bad):
+        value = str(raw[source].iloc[bad[0]])[:80]
+        raise InputError(f"{file}: column {source!r}, row {bad[0] + 1}: found {value!r}; allowed are {ALLOWED}")
+    text = not pd.api.types.is_numeric_dtype(raw[source])
+    return Midnights().run_on(seconds) if text else seconds
 
 
 def _holds(t: np.ndarray, joints: np.ndarray, pose: np.ndarray | None) -> Holds:

@@ -4,22 +4,26 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
 
+from kincal.identification.measurement_table import UNITS
 from kincal.identification.streams.campaign import Campaign, ClockOffset, DroppedPose
 from kincal.identification.streams.clock_offset import estimate_offset
 from kincal.identification.streams.columns import ANGLES, OPTIONAL
-from kincal.identification.streams.commands import read_commands
+from kincal.identification.streams.commands import Holds, read_commands
 from kincal.identification.streams.reading import complete, open_stream
 from kincal.identification.streams.repeats import STUCK
-from kincal.identification.streams.stillness import binned
+from kincal.identification.streams.stillness import Bins, binned
 from kincal.identification.streams.windows import Window, still_windows
 from kincal.urdf.description import Measure
 from kincal.urdf.errors import InputError
 
 _LEAST = 5  # samples a pose
+_LONGER = 100  # times: one file lasts so much longer that its time may count smaller units
+TICKS = ("ms", "us", "ns")
 
 
 @dataclass(frozen=True)
@@ -42,7 +46,7 @@ def static_poses(measure: Measure, joints: Sequence[str]) -> StaticPoses:
     holds = read_commands(measure.commands, joints, measure)
     stream = open_stream(file, measure)
     bins = binned(stream)
-    offset = estimate_offset(bins, holds, file) if log.offset_seconds is None else ClockOffset(log.offset_seconds)
+    offset = _offset(bins, holds, file) if log.offset_seconds is None else ClockOffset(log.offset_seconds)
     windows, dropped = still_windows(bins, holds, offset.seconds, log)
     samples = _telling(_within(stream, windows), measure)
     dropped += _unusable(samples, [w.pose for w in windows])
@@ -55,6 +59,23 @@ def static_poses(measure: Measure, joints: Sequence[str]) -> StaticPoses:
     kept = samples.loc[~np.isin(samples["pose"], sorted(bad))].reset_index(drop=True)
     left_out = tuple(sorted(dropped, key=lambda d: d.pose))
     return StaticPoses(table, kept, Campaign(stream.health, offset, len(holds), len(table), left_out))
+
+
+def _offset(bins: Bins, holds: Holds, file: Path) -> ClockOffset:
+    """The clocks' offset. Where none fits and one file lasts far longer, the refusal asks for the unit of its time."""
+    try:
+        return estimate_offset(bins, holds, file)
+    except InputError as error:
+        lasted = [float(np.ptp(t)) if len(t) else 0.0 for t in (bins.start, holds.begin)]
+        ratio = lasted[0] / lasted[1] if min(lasted) > 0 else 1.0
+        unit = min(TICKS, key=lambda unit: abs(np.log10(max(ratio, 1 / ratio) * UNITS[unit])))
+        if max(ratio, 1 / ratio) < _LONGER:
+            raise
+        name = "log" if ratio > 1 else "command log"
+        raise InputError(
+            f"{error}. The log lasts {lasted[0]:.3g} s, the commands {lasted[1]:.3g} s. Is the time of the {name} in "
+            f'{unit}? Then name that column t_{unit} and set measure.columns.t = {{from = "t_{unit}", unit = "{unit}"}}'
+        ) from None
 
 
 def _within(chunks: Iterable[pd.DataFrame], windows: list[Window]) -> pd.DataFrame:

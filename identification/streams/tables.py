@@ -12,7 +12,7 @@ from typing import BinaryIO
 import pandas as pd
 
 from kincal.identification.dialect import recognised
-from kincal.identification.streams.columns import OPTIONAL, REQUIRED, mapped, values
+from kincal.identification.streams.columns import OPTIONAL, REQUIRED, Rows, mapped
 from kincal.identification.streams.health import Tally
 from kincal.identification.table_files import TABLE_NAMES, decoded, header, parquet, readable
 from kincal.urdf.description import Measure
@@ -34,9 +34,9 @@ def logged(file: Path, measure: Measure, form: str, by_pose: bool, tally: Tally)
         measure = _written(file, measure)
         names = header(file, measure)
         columns = mapped(names, measure, file, by_pose)
-        sources = [c.source for c in columns.values()]
+        rows, sources = Rows(file, columns), [c.source for c in columns.values()]
         for raw in _csv(file, measure, names, sources, tally):
-            yield values(raw, columns)
+            yield rows.values(raw)
 
 
 def has_pose(file: Path, measure: Measure, form: str) -> bool:
@@ -53,11 +53,11 @@ def has_pose(file: Path, measure: Measure, form: str) -> bool:
 def _parquet(file: Path, measure: Measure, by_pose: bool, tally: Tally) -> Iterator[pd.DataFrame]:
     with parquet(file) as (table, names):
         columns = mapped(names, measure, file, by_pose)
-        sources = [c.source for c in columns.values()]
+        rows, sources = Rows(file, columns), list(dict.fromkeys(c.source for c in columns.values()))
         batches = table.iter_batches(batch_size=ROWS, columns=sources, use_threads=False)
         for raw in bounded_each(file, (decoded(file, batch) for batch in batches)):
             tally.read += len(raw)
-            yield values(raw, columns)
+            yield rows.values(raw)
 
 
 def _csv(file: Path, measure: Measure, names: list[str], wanted: list[str], tally: Tally) -> Iterator[pd.DataFrame]:
