@@ -8,7 +8,6 @@ otherwise.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +16,7 @@ import pandas as pd
 
 from kincal.identification.measurement_table import UNITS
 from kincal.identification.streams.bag_files import check_bag
+from kincal.identification.streams.bag_readers import Types, opened
 from kincal.identification.streams.health import Tally
 from kincal.urdf.description import Column, Measure
 from kincal.urdf.errors import InputError
@@ -35,7 +35,7 @@ def logged(file: Path, measure: Measure, tally: Tally) -> Iterator[pd.DataFrame]
     try:
         check_bag(file)
         with bounded(file):
-            reader, types = _opened(file)
+            reader, types = opened(file)
     except InputError:
         raise
     except Exception as error:
@@ -46,31 +46,9 @@ def logged(file: Path, measure: Measure, tally: Tally) -> Iterator[pd.DataFrame]
         chunk = _imu_chunk if kind == IMU else _vector_chunk(file, measure)
         for rows in bounded_each(file, _rows(_messages(reader, connections, tally), kind, types, tally)):
             yield chunk(np.array(rows))
+        tally.notes += (*reader.notes, *reader.faults())
     finally:
         reader.close()
-
-
-def _opened(file: Path) -> tuple[Any, Types]:
-    """A reader, and the types by which its messages are decoded: ROS's own, since a file's may be anything."""
-    from rosbags.rosbag1 import Reader as Reader1
-    from rosbags.rosbag2 import Reader as Reader2
-    from rosbags.typesys import Stores, get_typestore
-
-    ros1 = file.suffix == ".bag"
-    store = get_typestore(Stores.ROS1_NOETIC if ros1 else Stores.ROS2_HUMBLE)
-    reader: Any = Reader1(file) if ros1 else Reader2(file)
-    reader.open()
-    if ros1:
-        return reader, Types(store.deserialize_ros1, lambda kind: store.generate_msgdef(kind)[1])
-    return reader, Types(store.deserialize_cdr, store.hash_rihs01)
-
-
-@dataclass(frozen=True)
-class Types:
-    """ROS's own messages: (raw, type) -> message, and a type's digest."""
-
-    deserialize: Callable[[bytes, str], Any]
-    digest: Callable[[str], str]
 
 
 def _check_type(file: Path, kind: str, connections: list[Any], types: Types) -> None:
