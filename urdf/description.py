@@ -214,6 +214,7 @@ class Log(_Table):
 
     format: Literal["csv", "parquet", "nmea", "bag"] | None = None  # default: told by the file
     topic: str | None = None  # of a bag; of NMEA the sentence: PSXN, PASHR, PRDID or XDR. Default: the only fitting one
+    orientation: bool | None = None  # of an Imu: false: tilt by its accelerometer; default: where it is never set
     rate_hz: Positive | None = None  # of an NMEA log without any time
     offset_seconds: float | None = None  # the log's clock minus the command log's; default: estimated
     settle_seconds: NotNegative = 1.0  # cut from the start of a still stretch
