@@ -76,7 +76,7 @@ def times(raw: pd.DataFrame, columns: dict[str, Column], scale: float | None = N
 
 @dataclass
 class Rows:
-    """A stream's rows in chunks -> numbers: NaN for what is none."""
+    """A stream's rows in chunks -> numbers; NaN for blank cells, infinity for what else is no number."""
 
     file: Path
     columns: dict[str, Column]
@@ -90,7 +90,9 @@ class Rows:
             if name == "t":
                 numbers[name] = self._times(raw)
             elif name != DATE:
-                read = floats(pd.Series(raw[column.source]))
+                written = pd.Series(raw[column.source])
+                read = floats(written)
+                read[np.isnan(read) & written.notna().to_numpy()] = np.inf
                 with np.errstate(over="ignore", invalid="ignore"):  # of numbers that are too large, or none
                     numbers[name] = read * UNITS[column.unit]
         return pd.DataFrame(numbers)
