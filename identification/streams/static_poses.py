@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -48,7 +48,10 @@ def static_poses(measure: Measure, joints: Sequence[str]) -> StaticPoses:
     bins = binned(stream)
     offset = _offset(bins, holds, file) if log.offset_seconds is None else ClockOffset(log.offset_seconds)
     windows, dropped = still_windows(bins, holds, offset.seconds, log)
-    samples = _telling(_within(stream, windows), measure)
+    inside = _within(stream, windows)
+    whole = complete(inside)
+    health = replace(stream.health, sparse=_sparse(inside, whole, measure))
+    samples = _telling(whole, measure)
     dropped += _unusable(samples, [w.pose for w in windows])
     bad = {d.pose for d in dropped}
     rows = [w.row for w in windows if w.pose not in bad]
@@ -58,7 +61,7 @@ def static_poses(measure: Measure, joints: Sequence[str]) -> StaticPoses:
     table = pd.DataFrame({"pose": holds.pose[rows]} | {n: holds.joints[rows, k] for k, n in enumerate(joints)})
     kept = samples.loc[~np.isin(samples["pose"], sorted(bad))].reset_index(drop=True)
     left_out = tuple(sorted(dropped, key=lambda d: d.pose))
-    return StaticPoses(table, kept, Campaign(stream.health, offset, len(holds), len(table), left_out))
+    return StaticPoses(table, kept, Campaign(health, offset, len(holds), len(table), left_out))
 
 
 def _offset(bins: Bins, holds: Holds, file: Path) -> ClockOffset:
@@ -90,7 +93,14 @@ def _within(chunks: Iterable[pd.DataFrame], windows: list[Window]) -> pd.DataFra
             part = chunk[inside].copy()
             part.insert(1, "pose", pose[k[inside]])
             assigned.append(part)
-    return complete(pd.concat(assigned)) if assigned else pd.DataFrame({"t": [], "pose": []})
+    return pd.concat(assigned) if assigned else pd.DataFrame({"t": [], "pose": []})
+
+
+def _sparse(inside: pd.DataFrame, whole: pd.DataFrame, measure: Measure) -> tuple[str, ...]:
+    """Channels that some samples have, and that are left out since too many lack them; none that nobody asks for."""
+    wanted = measure.channels is None or "yaw" in measure.channels
+    gone = [str(name) for name in inside if name not in whole and inside[name].notna().any()]
+    return tuple(name for name in gone if wanted or name != "yaw")
 
 
 def _telling(samples: pd.DataFrame, measure: Measure) -> pd.DataFrame:

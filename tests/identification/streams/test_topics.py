@@ -1,5 +1,7 @@
 """Rows of several topics on one axis of time, as tools that plot logs write them: blank where a topic has no value."""
 
+from dataclasses import replace
+
 import numpy as np
 import pandas as pd
 import pytest
@@ -94,6 +96,17 @@ def test_poses_of_a_merged_log(campaigns, tmp_path):
         poses = static_poses(measure, JOINTS)
         assert poses.campaign.kept == poses.campaign.commanded == 12
         np.testing.assert_array_equal(poses.table[list(JOINTS)], joints)
+
+
+def test_a_slow_heading_is_named(campaigns, found):
+    """Most samples are without it: it is left out, with a warning."""
+    schedule = campaigns(RANDOM.uniform(-0.1, 0.1, (8, 3)), dwell=(6.0, 7.0))
+    log = schedule.log.assign(yaw=RANDOM.normal(size=len(schedule.log)))
+    log.loc[log.index % 5 > 0, "yaw"] = np.nan
+    poses = found(replace(schedule, log=log))
+    assert "yaw" not in poses.stream
+    assert poses.campaign.health.lines() == ("channel 'yaw' is left out: too many samples lack it",)
+    assert found(schedule).campaign.health.lines() == ()
 
 
 def test_a_blank_cell_in_a_command_log(tmp_path):
