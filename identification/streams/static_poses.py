@@ -11,14 +11,14 @@ import pandas as pd
 
 from kincal.identification.measurement_table import UNITS
 from kincal.identification.streams.campaign import Campaign, ClockOffset, DroppedPose
-from kincal.identification.streams.clock_offset import estimate_offset
+from kincal.identification.streams.clock_offset import estimate_offset, misfit
 from kincal.identification.streams.columns import ANGLES, OPTIONAL
 from kincal.identification.streams.commands import Holds, read_commands
 from kincal.identification.streams.reading import complete, open_stream
 from kincal.identification.streams.repeats import STUCK
 from kincal.identification.streams.stillness import Bins, binned
 from kincal.identification.streams.windows import Window, still_windows
-from kincal.urdf.description import Measure
+from kincal.urdf.description import Log, Measure
 from kincal.urdf.errors import InputError
 
 _LEAST = 5  # samples a pose
@@ -46,7 +46,7 @@ def static_poses(measure: Measure, joints: Sequence[str]) -> StaticPoses:
     holds = read_commands(measure.commands, joints, measure)
     stream = open_stream(file, measure)
     bins = binned(stream)
-    offset = _offset(bins, holds, file) if log.offset_seconds is None else ClockOffset(log.offset_seconds)
+    bins, offset = _clocks(bins, holds, file, log)
     windows, dropped = still_windows(bins, holds, offset.seconds, log)
     inside = _within(stream, windows)
     whole = complete(inside)
@@ -62,6 +62,25 @@ def static_poses(measure: Measure, joints: Sequence[str]) -> StaticPoses:
     kept = samples.loc[~np.isin(samples["pose"], sorted(bad))].reset_index(drop=True)
     left_out = tuple(sorted(dropped, key=lambda d: d.pose))
     return StaticPoses(table, kept, Campaign(health, offset, len(holds), len(table), left_out))
+
+
+def _clocks(bins: Bins, holds: Holds, file: Path, log: Log) -> tuple[Bins, ClockOffset]:
+    """The clocks' offset, and the bins by which it is known.
+
+    Angles that span more than half a turn may be degrees: the commands tell. What is in the file stays as it is read.
+    """
+    fits: list[tuple[float, Bins, ClockOffset]] = []
+    errors: list[InputError] = []
+    for candidate in (bins, bins.from_degrees()) if bins.beyond else (bins,):
+        try:
+            stated = log.offset_seconds
+            offset = _offset(candidate, holds, file) if stated is None else ClockOffset(stated)
+            fits.append((misfit(candidate, holds, offset.seconds), candidate, offset))
+        except InputError as error:
+            errors.append(error)
+    if not fits:
+        raise errors[0]
+    return min(fits, key=lambda fit: fit[0])[1:]
 
 
 def _offset(bins: Bins, holds: Holds, file: Path) -> ClockOffset:

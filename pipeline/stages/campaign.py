@@ -89,6 +89,7 @@ def filter_stage(measured: Measured, filter: Filter, sensor: Sensor) -> Filtered
 def _from_files(chain: ClosedChain, nominal: ErrorModel, measure: Measure, tolerance: Tolerance) -> Measured:
     """Static poses as a table; joint values and a stream that names poses; or a log and the commands of its time."""
     from kincal.identification.measurement_table import check_readings, noted_table
+    from kincal.identification.streams.angle_units import check_units
     from kincal.identification.streams.campaign import Campaign
     from kincal.identification.streams.reading import read_stream
     from kincal.identification.streams.static_poses import static_poses
@@ -96,6 +97,7 @@ def _from_files(chain: ClosedChain, nominal: ErrorModel, measure: Measure, toler
     if measure.commands is not None:
         poses = static_poses(measure, chain.actuated_names)
         check_readings(poses.table, chain, nominal.actuators, tolerance, measure.commands)
+        check_units(poses.stream, poses.table, nominal, measure, poses.campaign.health.format)
         return Measured(poses.campaign.health.file, poses.table, poses.stream, None, poses.campaign)
     assert measure.table is not None
     settings = measure if measure.streams is None else measure.of_columns(("pose", *chain.actuated_names))
@@ -104,4 +106,5 @@ def _from_files(chain: ClosedChain, nominal: ErrorModel, measure: Measure, toler
     if measure.streams is None:
         return Measured(measure.table.name, table, None, None, notes=notes)
     stream, health = read_stream(measure.streams, measure)
+    check_units(stream, table, nominal, measure, health.format)
     return Measured(health.file, table, stream, None, Campaign(health, None, len(table), len(table), ()))
