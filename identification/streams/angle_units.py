@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
+from kincal.identification.channels import named
 from kincal.identification.error_model import ErrorModel
 from kincal.identification.measurement_table import UNITS
 from kincal.identification.measurements import Measurements
@@ -29,14 +30,23 @@ _GROUPS = {"tilt": ("roll", "pitch"), "yaw": ("yaw",)}  # channels whose columns
 
 @dataclass(frozen=True)
 class _Fit:
-    """Of the robot as drawn: residual and angles, one sigma each [rad]."""
+    """Of the robot as drawn, by channel: mean squares of the residuals, and of the angles about their mean [rad2]."""
 
-    residual: float
-    spread: float
+    residual: Mapping[str, float]
+    spread: Mapping[str, float]
+
+    @property
+    def size(self) -> float:
+        return sum(self.residual.values())
 
     @property
     def explains(self) -> bool:
-        return self.residual**2 < _EXPLAINED * self.spread**2
+        return self.size < _EXPLAINED * sum(self.spread.values())
+
+    def explained(self) -> tuple[str, ...]:
+        """Columns of the channels that vary, and as the robot does."""
+        telling = (channel for channel in self.residual if self.residual[channel] < _EXPLAINED * self.spread[channel])
+        return tuple(name for channel in telling for name in _GROUPS[channel])
 
 
 def check_units(stream: pd.DataFrame, table: pd.DataFrame, model: ErrorModel, measure: Measure, form: str) -> None:
@@ -71,16 +81,20 @@ def check_units(stream: pd.DataFrame, table: pd.DataFrame, model: ErrorModel, me
 
 
 def _refuse(fits: Mapping[tuple[str, ...], _Fit], columns: Mapping[str, Column], file: Path) -> None:
-    names = min(fits, key=lambda others: fits[others].residual)
-    read, other = fits[()], fits[names]
-    if not other.explains or read.residual**2 < _BETTER * other.residual**2:
+    changed = min(fits, key=lambda others: fits[others].size)
+    read, other = fits[()], fits[changed]
+    names = [name for name in changed if name in other.explained()]
+    if not names or read.size < _BETTER * other.size:
         return
     units = {name: _OTHER[columns[name].unit] for name in names}
     settings = ", ".join(f'{n} = {{ from = "{columns[n].source}", unit = "{unit}" }}' for n, unit in units.items())
     right, wrong = _words(units.values()), _words(_OTHER[unit] for unit in units.values())
+    rest = [name for name in changed if name not in names]
+    unknown = f"; {', '.join(rest)} varies too little to tell" if rest else ""
+    off = np.rad2deg(np.sqrt(max(other.residual.values())))
     raise InputError(
         f"{file}: {', '.join(names)}: the robot as drawn fits these angles as {right}, not as {wrong} (residuals of "
-        f"{np.rad2deg(other.residual):.2g} degrees). In measure.columns set {settings}"
+        f"{off:.2g} degrees{unknown}). In measure.columns set {settings}"
     )
 
 
@@ -114,9 +128,11 @@ def _fit(model: ErrorModel, tool: Motion, readings: np.ndarray, angles: Mapping[
         values["yaw"] = angles["yaw"]
     n = len(readings)
     measured = Measurements(np.arange(n), readings, values, {channel: np.ones(n) for channel in values})
+    spread = {c: float(np.mean(np.var(wrap(v - v[:1]), axis=0))) for c, v in values.items()}
     try:
-        residual = registered(model, measured, tool).size
+        squares = registered(model, measured, tool).residual ** 2
     except (InputError, CalibrationError, np.linalg.LinAlgError, ValueError):
-        residual = np.inf
-    apart = np.column_stack([wrap(v - v[0]) for v in angles.values()])
-    return _Fit(float(np.sqrt(residual)), float(np.sqrt(np.mean(np.var(apart, axis=0)))))
+        return _Fit(dict.fromkeys(values, np.inf), spread)
+    channels = named(measured.channels)
+    parts = np.split(squares, np.cumsum([c.rows for c in channels])[:-1], axis=1)
+    return _Fit({c.name: float(np.mean(part)) for c, part in zip(channels, parts, strict=True)}, spread)

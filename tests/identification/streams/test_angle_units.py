@@ -16,7 +16,7 @@ ALL = ("roll", "pitch", "yaw")
 def campaign(robot, seed, scale, names=ALL):
     """Samples of 20 poses of a robot near its drawing, angles as its instrument writes them: times `scale`."""
     readings = robot.readings(20, seed)
-    measured = robot.measurements(robot.random_parameters(seed), readings, ("tilt", "yaw"))
+    measured = robot.measure(robot.random_parameters(seed), readings, ("tilt", "yaw"))
     angles = dict(zip(ALL, [*measured.values["tilt"].T, measured.values["yaw"]], strict=True))
     noise = np.random.default_rng(seed).normal(size=(len(names), 100)) * 1e-4
     samples = {n: scale.get(n, 1.0) * (np.repeat(angles[n], 5) + e) for n, e in zip(names, noise, strict=True)}
