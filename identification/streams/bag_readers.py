@@ -115,5 +115,5 @@ def _number(file: Path) -> tuple[list[int], str]:
 def _fault(file: Path, broken: int | None) -> str:
     if broken is None:
         return f"{file.name} has no index that can be read; kincal read its messages in order"
-    where = f" at byte {broken}" if broken >= 0 else ""
+    where = f" in the record at byte {broken}" if broken >= 0 else ""
     return f"{file.name} breaks off{where}; kincal read the messages before"
