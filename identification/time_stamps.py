@@ -74,7 +74,7 @@ def scale_of(numbers: np.ndarray, longest: float = _STEP) -> float:
         return 1.0
     with np.errstate(over="ignore"):
         middle, steps = float(np.median(known)), np.abs(np.diff(known))
-    step = float(np.median(steps[steps > 0])) if (steps > 0).any() else 0.0
+        step = float(np.median(steps[steps > 0])) if (steps > 0).any() else 0.0
     return next((s for s in _SCALES if _YEARS[0] <= middle * s <= _YEARS[1] and step * s <= longest), 1.0)
 
 

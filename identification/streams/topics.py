@@ -60,7 +60,8 @@ class Topics:
         for name in [c for c in chunk if c not in ("t", "pose")]:
             values = chunk[name].to_numpy(float)
             last = np.maximum.accumulate(np.where(np.isnan(values), -1, place))[rows]
-            fresh = (last > before) & (np.abs(t[rows] - t[last]) <= _OLDEST)
+            with np.errstate(over="ignore", invalid="ignore"):  # of times that are none
+                fresh = (last > before) & (np.abs(t[rows] - t[last]) <= _OLDEST)
             filled[name] = np.where(fresh, values[last], np.nan)
         return filled
 

@@ -128,12 +128,14 @@ def test_a_blank_cell_in_a_command_log(tmp_path):
 @given(
     st.lists(st.sampled_from(["both", "both", "yaw", "none", "roll", "pitch"]), max_size=60),
     st.lists(st.integers(1, 60), max_size=6),
+    st.lists(st.sampled_from([0.0, 0.1, 0.2, np.inf, -np.inf, np.nan, 1.7e308, -1.7e308]), min_size=1, max_size=5),
 )
-def test_pieces_make_no_difference(kinds, cuts):
-    """A file's rows in any pieces: the same samples; every row is kept or counted."""
+def test_pieces_make_no_difference(kinds, cuts, times):
+    """A file's rows in any pieces: the same samples; every row is kept or counted. Times may be any."""
     has = {"roll": ("both", "roll"), "pitch": ("both", "pitch"), "yaw": ("yaw",)}
     value = np.arange(len(kinds), dtype=float)
-    table = pd.DataFrame({"t": 0.01 * value} | {n: np.where(np.isin(kinds, k), value, np.nan) for n, k in has.items()})
+    channels = {n: np.where(np.isin(kinds, k), value, np.nan) for n, k in has.items()}
+    table = pd.DataFrame({"t": np.resize(times, len(kinds)), **channels})
     whole, pieces = ([*sorted({min(c, len(table)) for c in of})] for of in ([], cuts))
     results = []
     for ends in (whole, pieces):
