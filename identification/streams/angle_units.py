@@ -90,7 +90,7 @@ def _refuse(fits: Mapping[tuple[str, ...], _Fit], columns: Mapping[str, Column],
     settings = ", ".join(f'{n} = {{ from = "{columns[n].source}", unit = "{unit}" }}' for n, unit in units.items())
     right, wrong = _words(units.values()), _words(_OTHER[unit] for unit in units.values())
     rest = [name for name in changed if name not in names]
-    unknown = f"; {', '.join(rest)} varies too little to tell" if rest else ""
+    unknown = f"; kincal cannot decide it for {', '.join(rest)}" if rest else ""
     off = np.rad2deg(np.sqrt(max(other.residual.values())))
     raise InputError(
         f"{file}: {', '.join(names)}: the robot as drawn fits these angles as {right}, not as {wrong} (residuals of "

@@ -75,6 +75,16 @@ def test_other_mistakes_are_not_named_so(name, robot):
     check(robot(name), degrees, table, form="nmea")
 
 
+def test_a_channel_that_nothing_explains(robot):
+    """A heading at random beside a tilt in degrees: the tilt is named alone."""
+    stream, table = campaign(robot("rps3"), 6, dict.fromkeys(ALL, 180 / np.pi))
+    stream["yaw"] = np.random.default_rng(2).uniform(-3, 3, 100)
+    with pytest.raises(
+        InputError, match=r"log\.csv: roll, pitch: .* as degrees, .*; kincal cannot decide it for yaw\)"
+    ):
+        check(robot("rps3"), stream, table)
+
+
 def test_the_columns_of_a_bag(robot):
     stream, table = campaign(robot("ups3_s"), 7, dict.fromkeys(ALL, 180 / np.pi))
     with pytest.raises(InputError, match=r'roll = \{ from = "x", unit = "deg" \}, pitch = \{ from = "y"'):
