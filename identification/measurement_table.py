@@ -19,6 +19,7 @@ from kincal.urdf.description import EULER_ANGLES, Column, Measure, listed, neare
 from kincal.urdf.errors import InputError, TableError, quoted
 
 UNITS = {"m": 1.0, "mm": 1e-3, "cm": 1e-2, "in": 0.0254, "rad": 1.0, "deg": np.pi / 180, "rev": 2 * np.pi, "1": 1.0}
+UNITS |= {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 LENGTHS, ANGLES = ("m", "mm", "cm", "in"), ("rad", "deg", "rev")
 _GROUPS = (*(group for c in CHANNELS for group in (c.columns, *c.other_columns)), EULER_ANGLES)
 _LARGEST = 1e15  # a number beyond is no reading; below, whole numbers are exact and squares don't overflow

@@ -98,8 +98,8 @@ def _check_size(values: np.ndarray, names: Sequence[str], where: str, rows: np.n
         at, k = bad[0]
         name, row = str(names[k]), int(rows[at])
         raise TableError(
-            f"{where}: column {quoted(name)}, row {row + 1}: found {values[at, k]:.6g} rad; allowed are numbers up to one "
-            f'turn, 6.28. For degrees, set measure.columns.{name} = {{ from = "{name}", unit = "deg" }}',
+            f"{where}: column {quoted(name)}, row {row + 1}: found {values[at, k]:.6g} rad; allowed are numbers up to "
+            f'one turn, 6.28. For degrees, set measure.columns.{name} = {{ from = "{name}", unit = "deg" }}',
             name,
             row,
         )

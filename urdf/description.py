@@ -39,7 +39,7 @@ Positive = Annotated[float, Field(gt=0)]
 NotNegative = Annotated[float, Field(ge=0)]
 File = Annotated[Path, Field(strict=False)]
 Seed = Annotated[int, Field(ge=0, lt=2**32)]
-Unit = Literal["m", "mm", "cm", "in", "rad", "deg", "rev", "1"]
+Unit = Literal["m", "mm", "cm", "in", "rad", "deg", "rev", "s", "ms", "us", "ns", "1"]
 Layout = Literal["grid", "random", "d_optimal"]
 _INTRINSIC = ("XYZ", "XZY", "YXZ", "YZX", "ZXY", "ZYX", "XYX", "XZX", "YXY", "YZY", "ZXZ", "ZYZ")
 EULER_ORDERS = (*_INTRINSIC, *map(str.lower, _INTRINSIC))  # upper case: about the turned axes; lower case: fixed axes
@@ -220,6 +220,7 @@ class Log(_Table):
 
     format: Literal["csv", "parquet", "nmea", "bag"] | None = None  # default: told by the file
     topic: str | None = None  # of a bag; of NMEA the sentence: PSXN, PASHR, PRDID or XDR. Default: the only fitting one
+    orientation: bool | None = None  # of an Imu: false: tilt by its accelerometer; default: where it is never set
     rate_hz: Positive | None = None  # of an NMEA log without any time
     offset_seconds: float | None = None  # the log's clock minus the command log's; default: estimated
     settle_seconds: NotNegative = 1.0  # cut from the start of a still stretch
@@ -269,8 +270,8 @@ class Measure(_Table):
         if order is not None and order not in EULER_ORDERS:
             intrinsic = ", ".join(_INTRINSIC)
             raise ValueError(
-                f"found {shortened(order)}; allowed are {intrinsic} (about the turned axes), and the same in lower case "
-                "(about fixed axes)"
+                f"found {shortened(order)}; allowed are {intrinsic} (about the turned axes), and the same in lower "
+                "case (about fixed axes)"
             )
         return order
 

@@ -31,10 +31,17 @@ def check_bag(bag: Path) -> None:
 def _check_database(file: Path) -> None:
     """A view or a computed column can be a query without end."""
     try:
-        with closing(sqlite3.connect(f"{file.absolute().as_uri()}?mode=ro&immutable=1", uri=True)) as database:
+        with closing(database_of(file)) as database:
             tables = database.execute("select name, sql from sqlite_master where sql is not null limit 1000").fetchall()
     except (sqlite3.Error, ValueError, OverflowError) as error:
         raise InputError(f"{file}: not a database that can be read: {shortened(error)}") from None
     for name, sql in tables:
         if not _PLAIN.match(str(sql)) or _COMPUTED.search(str(sql)):
             raise InputError(f"{file}: {quoted(str(name))} is no plain table or index, which are allowed")
+
+
+def database_of(file: Path) -> sqlite3.Connection:
+    """For reading alone; of a file that was cut, what is left. Raises sqlite3.Error, ValueError, OverflowError."""
+    database = sqlite3.connect(f"{file.absolute().as_uri()}?mode=ro&immutable=1", uri=True)
+    database.execute("pragma writable_schema = on")  # without, a file shorter than its header says is not read at all
+    return database

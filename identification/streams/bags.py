@@ -1,14 +1,13 @@
 """ROS 1 bags, ROS 2 bags (sqlite3, mcap) and MCAP files, by rosbags: sensor_msgs/Imu, geometry_msgs/Vector3Stamped.
 
-Axes after REP 103: x forward, y to port, z up, as kincal's. An Imu without an orientation (its covariance begins with
--1) is an inclinometer by its accelerometer. A Vector3Stamped holds roll, pitch [rad] in x, y, unless a column map says
-otherwise.
+Axes after REP 103: x forward, y to port, z up, as kincal's. A Vector3Stamped holds roll, pitch [rad] in x, y, unless
+a column map says otherwise.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +16,9 @@ import pandas as pd
 
 from kincal.identification.measurement_table import UNITS
 from kincal.identification.streams.bag_files import check_bag
+from kincal.identification.streams.bag_readers import Parts, Types, opened
 from kincal.identification.streams.health import Tally
+from kincal.identification.streams.imu import imu_chunk, imu_row, orientation_of
 from kincal.urdf.description import Column, Measure, listed
 from kincal.urdf.errors import InputError, quoted, shortened
 from kincal.urdf.input_files import bounded, bounded_each
@@ -35,7 +36,7 @@ def logged(file: Path, measure: Measure, tally: Tally) -> Iterator[pd.DataFrame]
     try:
         check_bag(file)
         with bounded(file):
-            reader, types = _opened(file)
+            reader, types = opened(file)
     except InputError:
         raise
     except Exception as error:
@@ -43,34 +44,31 @@ def logged(file: Path, measure: Measure, tally: Tally) -> Iterator[pd.DataFrame]
     try:
         kind, connections = _topic(file, reader.connections, measure.log.topic)
         _check_type(file, kind, connections, types)
-        chunk = _imu_chunk if kind == IMU else _vector_chunk(file, measure)
+        chunk = _imu(file, reader, connections, types, measure, tally) if kind == IMU else _vector_chunk(file, measure)
         for rows in bounded_each(file, _rows(_messages(reader, connections, tally), kind, types, tally)):
             yield chunk(np.array(rows))
+        tally.notes += (*reader.notes, *reader.faults())
     finally:
         reader.close()
 
 
-def _opened(file: Path) -> tuple[Any, Types]:
-    """A reader, and the types by which its messages are decoded: ROS's own, since a file's may be anything."""
-    from rosbags.rosbag1 import Reader as Reader1
-    from rosbags.rosbag2 import Reader as Reader2
-    from rosbags.typesys import Stores, get_typestore
+def _imu(
+    file: Path, reader: Parts, connections: list[Any], types: Types, measure: Measure, tally: Tally
+) -> Callable[[np.ndarray], pd.DataFrame]:
+    """How rows of an Imu become a chunk: by its orientation, if it has one."""
 
-    ros1 = file.suffix == ".bag"
-    store = get_typestore(Stores.ROS1_NOETIC if ros1 else Stores.ROS2_HUMBLE)
-    reader: Any = Reader1(file) if ros1 else Reader2(file)
-    reader.open()
-    if ros1:
-        return reader, Types(store.deserialize_ros1, lambda kind: store.generate_msgdef(kind)[1])
-    return reader, Types(store.deserialize_cdr, store.hash_rihs01)
+    def decoded() -> Iterator[Any]:
+        for raw, _ in _messages(reader, connections, Tally()):
+            try:
+                yield types.deserialize(raw, IMU)
+            except Exception:  # it is counted when the samples are read
+                continue
 
-
-@dataclass(frozen=True)
-class Types:
-    """ROS's own messages: (raw, type) -> message, and a type's digest."""
-
-    deserialize: Callable[[bytes, str], Any]
-    digest: Callable[[str], str]
+    with bounded(file):
+        orientation = orientation_of(decoded(), measure.log.orientation)
+    if orientation.note:
+        tally.notes += (f"topic {connections[0].topic}: {orientation.note}",)
+    return partial(imu_chunk, orientation=orientation)
 
 
 def _check_type(file: Path, kind: str, connections: list[Any], types: Types) -> None:
@@ -83,11 +81,12 @@ def _rows(
     messages: Iterable[tuple[bytes, float]], kind: str, types: Types, tally: Tally
 ) -> Iterator[list[tuple[float, ...]]]:
     """Rows of many messages at a time."""
-    row = _imu_row if kind == IMU else _vector_row
+    row = imu_row if kind == IMU else _vector_row
     rows: list[tuple[float, ...]] = []
     for rawdata, recorded in messages:
         try:
-            rows.append(row(types.deserialize(rawdata, kind), recorded))
+            message = types.deserialize(rawdata, kind)
+            rows.append((_time(message, recorded), *row(message)))
         except Exception:
             tally.garbage += 1
         if len(rows) >= _ROWS:
@@ -133,28 +132,8 @@ def _time(message: Any, recorded: float) -> float:
     return seconds if seconds else recorded
 
 
-def _imu_row(message: Any, recorded: float) -> tuple[float, ...]:
-    q, w, a = message.orientation, message.angular_velocity, message.linear_acceleration
-    known = message.orientation_covariance[0] != -1 and (q.x or q.y or q.z or q.w)
-    orientation = (q.x, q.y, q.z, q.w) if known else (np.nan,) * 4
-    return (_time(message, recorded), *orientation, w.x, w.y, w.z, a.x, a.y, a.z)
-
-
-def _vector_row(message: Any, recorded: float) -> tuple[float, ...]:
-    return (_time(message, recorded), message.vector.x, message.vector.y, message.vector.z)
-
-
-def _imu_chunk(rows: np.ndarray) -> pd.DataFrame:
-    with np.errstate(invalid="ignore", over="ignore"):  # a message's numbers may be any
-        x, y, z, w = rows[:, 1:5].T / np.linalg.norm(rows[:, 1:5], axis=1)
-        ax, ay, az = rows[:, 8:11].T
-        unknown = np.isnan(w)
-        roll = np.where(unknown, np.arctan2(ay, az), np.arctan2(2 * (w * x + y * z), 1 - 2 * (x * x + y * y)))
-        pitch = np.where(unknown, np.arctan2(-ax, np.hypot(ay, az)), np.arcsin(np.clip(2 * (w * y - z * x), -1, 1)))
-        yaw = np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
-    columns = {"t": rows[:, 0], "roll": roll, "pitch": pitch, "yaw": yaw}
-    names = (f"{sensor}_{axis}" for sensor in ("gyro", "acc") for axis in "xyz")
-    return pd.DataFrame(columns | dict(zip(names, rows[:, 5:11].T, strict=True)))
+def _vector_row(message: Any) -> tuple[float, ...]:
+    return (message.vector.x, message.vector.y, message.vector.z)
 
 
 def _vector_chunk(file: Path, measure: Measure) -> Callable[[np.ndarray], pd.DataFrame]:

@@ -37,7 +37,7 @@ def estimate_offset(bins: Bins, holds: Holds, file: Path) -> ClockOffset:
     order = np.argsort(-counts, kind="stable")
     order = order[counts[order] >= _FEWER * counts[order[0]]]
     lags, counts = lags[order], counts[order]
-    fits = np.array([_misfit(bins, holds, lag) for lag in lags])
+    fits = np.array([misfit(bins, holds, lag) for lag in lags])
     if not np.isfinite(fits).all():  # too few poses to tell by
         fits = np.ones(len(lags))
     good = np.flatnonzero(fits <= _ALIKE * fits.min())
@@ -77,7 +77,7 @@ def _shared_lags(onsets: np.ndarray, changes: np.ndarray, width: float) -> tuple
     return np.array(lags), np.array(kept)
 
 
-def _misfit(bins: Bins, holds: Holds, lag: float) -> float:
+def misfit(bins: Bins, holds: Holds, lag: float) -> float:
     """Scatter of the angles before each change about a plane in the joint values, as a share of their own; or inf."""
     k = np.searchsorted(bins.start, holds.end[np.isfinite(holds.end)] + lag - bins.width) - 1
     inside = (k >= _BEFORE) & (k < len(bins.start) - 1)

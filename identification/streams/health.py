@@ -48,6 +48,7 @@ class StreamHealth:
     longest_gap: float  # [s]
     clock_steps: int  # the clock was set back; later times are shifted to run on
     shift: float  # [s] by how much in all
+    notes: tuple[str, ...] = ()  # what else a user should know of the file
 
     @property
     def bad(self) -> int:
@@ -65,7 +66,7 @@ class StreamHealth:
         if self.clock_steps:
             shifted = f"; later times were shifted by {self.shift:.6g} s" if self.shift else ""
             lines.append(f"the clock was set back {self.clock_steps} times{shifted}")
-        return tuple(lines)
+        return (*self.notes, *lines)
 
     def require(self, file: Path) -> StreamHealth:
         """Itself, unless the file is mostly garbage (more than half of its records) or has no sample: InputError."""
@@ -103,6 +104,7 @@ class Tally:
     longest_gap: float = 0.0
     clock_steps: int = 0
     shift: float = 0.0
+    notes: tuple[str, ...] = ()
 
     def health(self, file: str, format: str) -> StreamHealth:
         return StreamHealth(file, format, **vars(self))

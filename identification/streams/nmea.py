@@ -17,7 +17,15 @@ import numpy as np
 import pandas as pd
 
 from kincal.identification.streams.health import Tally
-from kincal.identification.streams.nmea_time import Clock, FromSentences, FromStamps, Nominal, stamped
+from kincal.identification.streams.nmea_lines import TagTimes, parsed_line
+from kincal.identification.streams.nmea_time import (
+    Clock,
+    FromSeconds,
+    FromSentences,
+    FromStamps,
+    Nominal,
+    whole_seconds,
+)
 from kincal.urdf.description import Log
 from kincal.urdf.errors import InputError, quoted
 from kincal.urdf.input_files import unreadable
@@ -66,7 +74,7 @@ def logged(file: Path, log: Log, tally: Tally) -> Iterator[pd.DataFrame]:
         raise unreadable(file, error) from None
     if clock.untimed > count:
         raise InputError(
-            f"{file}: neither time stamps before the sentences nor times in them (ZDA, PASHR); "
+            f"{file}: no time: no stamps or TAG blocks before the sentences, no times in them (ZDA, PASHR); "
             "set measure.log.rate_hz to the sensor's rate"
         )
     tally.untimed += clock.untimed
@@ -75,7 +83,7 @@ def logged(file: Path, log: Log, tally: Tally) -> Iterator[pd.DataFrame]:
 def looks_like(head: bytes) -> bool:
     """Whether the first bytes of a file are NMEA sentences, with or without stamps."""
     lines = [line for line in head.splitlines()[:50] if line.strip()]
-    return bool(lines) and 2 * sum(_sentence(line) is not None for line in lines) > len(lines)
+    return bool(lines) and 2 * sum(parsed_line(line) is not None for line in lines) > len(lines)
 
 
 @dataclass
@@ -84,23 +92,24 @@ class _Reader:
     tally: Tally
     chosen: str | None  # the sentence that attitudes are taken from; None until one comes
     heading: float = np.nan  # of a sentence of its own, for the next attitude
+    times: TagTimes = field(default_factory=TagTimes)
     partial: dict[str, float] = field(default_factory=dict)  # of XDR sentences that give one angle each
 
     def take(self, line: bytes) -> list[tuple[float, ...]]:
         """The samples that a line completes."""
         tally = self.tally
         tally.read += 1
-        sentence = _sentence(line)
+        sentence = parsed_line(line)
         if sentence is None:
             tally.garbage += 1
             return []
-        stamp, body, checksum = sentence
-        name = body.split(",", 1)[0]
-        if not _sums_up(body, checksum):
+        name, body, checksum = sentence.name, sentence.body, sentence.checksum
+        if not sentence.tagged or (body and not sentence.valid):
             tally.checksum += 1
             if self.chosen and name.endswith(self.chosen):
                 self.clock.missed()
             return []
+        stamp = self.times.of(sentence)
         kind = name if name in ATTITUDE else name[2:]
         message = _parsed(body, checksum) if kind in (*ATTITUDE, "HDT", "ZDA") else None
         if message is None:
@@ -160,9 +169,11 @@ def _chunk(rows: list[tuple[float, ...]]) -> pd.DataFrame:
 
 
 def _clock(head: list[bytes], log: Log) -> Clock:
-    sentences = [sentence[0] for line in head if (sentence := _sentence(line)) is not None]
-    if sentences and 2 * sum(np.isfinite(stamped(stamp)) for stamp in sentences) > len(sentences):
-        return FromStamps()
+    times = TagTimes()
+    stamps = np.array([times.of(sentence) for line in head if (sentence := parsed_line(line)) is not None])
+    known = stamps[np.isfinite(stamps)]
+    if 2 * len(known) > len(stamps):
+        return FromSeconds() if whole_seconds(known) else FromStamps()
     return FromSentences() if log.rate_hz is None else Nominal(log.rate_hz)
 
 
@@ -171,23 +182,6 @@ def _lines(stream: BinaryIO) -> Iterator[bytes]:
         line = line.strip()
         if line:
             yield line
-
-
-def _sentence(line: bytes) -> tuple[str, str, str] | None:
-    """What stands before the $, the sentence's body, and its checksum; None where there is no sentence."""
-    try:
-        stamp, dollar, rest = line.decode("ascii").partition("$")
-    except UnicodeDecodeError:
-        return None
-    body, _, checksum = rest.strip().partition("*")
-    plausible = dollar and len(body.split(",", 1)[0]) >= 4 and "," in body and body.isprintable()
-    return (stamp, body, checksum) if plausible else None
-
-
-def _sums_up(body: str, checksum: str) -> bool:
-    from pynmeagps.nmeahelpers import calc_checksum
-
-    return len(checksum) == 2 and calc_checksum(body) == checksum.upper()
 
 
 def _parsed(body: str, checksum: str) -> Any:

@@ -8,8 +8,6 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from kincal.identification.streams.columns import clock as stamp_seconds
-
 Values = tuple[float, float, float, float]
 Row = tuple[float, ...]
 _DAY = 86400.0
@@ -17,15 +15,15 @@ _LONGEST = 10.0  # [s] between two ZDA: beyond it samples are not spread over th
 _MOST = 100_000  # samples that wait for a ZDA
 
 
-def stamped(text: str) -> float:
-    """[s] what stands before a sentence: ISO 8601 or a number since 1970, then a space, tab or comma; else NaN."""
-    return stamp_seconds(text.strip().rstrip(",;").strip())
+def whole_seconds(stamps: np.ndarray) -> bool:
+    """Whether stamps (n,) [s] are whole seconds, and most repeat the one before: sampled faster than stamped."""
+    return bool(len(stamps) > 2 and np.all(stamps % 1 == 0) and 2 * np.sum(np.diff(stamps) == 0) > len(stamps))
 
 
 class Clock(Protocol):
     untimed: int  # samples that no time could be given
 
-    def sample(self, stamp: str, utc: float, values: Values) -> list[Row]:
+    def sample(self, stamp: float, utc: float, values: Values) -> list[Row]:
         """Samples that are complete now; utc [s] of the day, NaN where the sentence does not say it."""
         ...
 
@@ -42,8 +40,8 @@ class Clock(Protocol):
 class FromStamps:
     untimed: int = 0
 
-    def sample(self, stamp: str, utc: float, values: Values) -> list[Row]:
-        return [(stamped(stamp), *values)]
+    def sample(self, stamp: float, utc: float, values: Values) -> list[Row]:
+        return [(stamp, *values)]
 
     def zda(self, message: Any) -> list[Row]:
         return []
@@ -62,7 +60,7 @@ class Nominal:
     untimed: int = 0
     count: int = 0
 
-    def sample(self, stamp: str, utc: float, values: Values) -> list[Row]:
+    def sample(self, stamp: float, utc: float, values: Values) -> list[Row]:
         self.count += 1
         return [((self.count - 1) / self.rate, *values)]
 
@@ -86,7 +84,7 @@ class FromSentences:
     spacing: float = np.nan  # [s] between samples
     waiting: list[Values] = field(default_factory=list)
 
-    def sample(self, stamp: str, utc: float, values: Values) -> list[Row]:
+    def sample(self, stamp: float, utc: float, values: Values) -> list[Row]:
         if np.isfinite(utc):
             days = 0.0 if np.isnan(self.now) else round((self.now - utc) / _DAY)  # the one nearest to what came before
             self.now = _DAY * days + utc
@@ -104,10 +102,14 @@ class FromSentences:
             seconds = t.hour * 3600 + t.minute * 60 + t.second + 1e-6 * t.microsecond
         except (AttributeError, TypeError, ValueError, OverflowError):
             return []
-        if self.waiting and 0 < midnight + seconds - self.last <= _LONGEST:
-            self.spacing = (midnight + seconds - self.last) / len(self.waiting)
+        return self._since(midnight + seconds)
+
+    def _since(self, now: float) -> list[Row]:
+        """The samples that wait, spread over the time to `now` [s], from which the next ones count."""
+        if self.waiting and 0 < now - self.last <= _LONGEST:
+            self.spacing = (now - self.last) / len(self.waiting)
         rows = self.rest()
-        self.last = self.now = midnight + seconds
+        self.last = self.now = now
         return rows
 
     def missed(self) -> None: ...
@@ -118,3 +120,18 @@ class FromSentences:
         rows = [(self.last + k * spacing, *values) for k, values in enumerate(self.waiting)]
         self.last, self.waiting = self.last + spacing * len(rows), []
         return rows
+
+
+@dataclass
+class FromSeconds(FromSentences):
+    """Stamps in whole seconds, of a sensor that is faster: samples are spread evenly from one second to the next."""
+
+    def sample(self, stamp: float, utc: float, values: Values) -> list[Row]:
+        if np.isnan(stamp):
+            return [(np.nan, *values)]
+        rows = self._since(stamp) if stamp != self.now else []
+        self.waiting.append(values)
+        return rows + (self.rest() if len(self.waiting) >= _MOST else [])
+
+    def zda(self, message: Any) -> list[Row]:
+        return []

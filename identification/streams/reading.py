@@ -15,12 +15,12 @@ from kincal.identification.streams.health import StreamHealth, Tally
 from kincal.identification.streams.pose_column import all_of_pose, in_order, not_revisited, whole_numbers
 from kincal.identification.streams.repeats import Repeats
 from kincal.identification.streams.timeline import Timeline
+from kincal.identification.time_stamps import FARTHEST
 from kincal.urdf.description import Measure
 from kincal.urdf.errors import InputError
 from kincal.urdf.input_files import check_file, check_records, kept, unreadable
 
 _MOSTLY = 0.9  # of the samples: an optional channel that fewer have is left out
-_FARTHEST = 1e12  # beyond it a number is no time, no angle, nor a pose's
 
 
 @dataclass
@@ -80,7 +80,7 @@ class Stream:
         yield samples
 
     def _finite(self, chunk: pd.DataFrame) -> pd.DataFrame:
-        far = np.abs(chunk.to_numpy(float)) >= _FARTHEST
+        far = np.abs(chunk.to_numpy(float)) >= FARTHEST  # beyond it a number is no time, no angle, nor a pose's
         if far.any():
             chunk = chunk.mask(far)
         good = np.all(np.isfinite(chunk[list(REQUIRED)].to_numpy(float)), axis=1)

@@ -3,25 +3,28 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 
+from kincal.identification.measurement_table import UNITS
 from kincal.identification.streams.campaign import Campaign, ClockOffset, DroppedPose
-from kincal.identification.streams.clock_offset import estimate_offset
+from kincal.identification.streams.clock_offset import estimate_offset, misfit
 from kincal.identification.streams.columns import ANGLES, OPTIONAL
-from kincal.identification.streams.commands import read_commands
+from kincal.identification.streams.commands import Holds, read_commands
 from kincal.identification.streams.reading import complete, open_stream
 from kincal.identification.streams.repeats import STUCK
-from kincal.identification.streams.stillness import binned
+from kincal.identification.streams.stillness import Bins, binned
 from kincal.identification.streams.windows import Window, still_windows
-from kincal.urdf.description import Measure
+from kincal.urdf.description import Log, Measure
 from kincal.urdf.errors import InputError, quoted
 from kincal.urdf.input_files import kept
 
 _LEAST = 5  # samples a pose
+_LONGER = 100  # times: one file lasts so much longer that its time may count smaller units
+TICKS = ("ms", "us", "ns")
 
 
 @dataclass(frozen=True)
@@ -44,9 +47,12 @@ def static_poses(measure: Measure, joints: Sequence[str]) -> StaticPoses:
     holds = read_commands(measure.commands, joints, measure)
     stream = open_stream(file, measure)
     bins = binned(stream, file)
-    offset = estimate_offset(bins, holds, file) if log.offset_seconds is None else ClockOffset(log.offset_seconds)
+    bins, offset = _clocks(bins, holds, file, log)
     windows, dropped = still_windows(bins, holds, offset.seconds, log)
-    samples = _telling(_within(file, stream, windows), measure)
+    inside = _within(file, stream, windows)
+    whole = complete(inside)
+    health = replace(stream.health, sparse=_sparse(inside, whole, measure))
+    samples = _telling(whole, measure)
     dropped += _unusable(samples, [w.pose for w in windows])
     bad = {d.pose for d in dropped}
     rows = [w.row for w in windows if w.pose not in bad]
@@ -56,7 +62,43 @@ def static_poses(measure: Measure, joints: Sequence[str]) -> StaticPoses:
     table = pd.DataFrame({"pose": holds.pose[rows]} | {n: holds.joints[rows, k] for k, n in enumerate(joints)})
     used = samples.loc[~np.isin(samples["pose"], sorted(bad))].reset_index(drop=True)
     left_out = tuple(sorted(dropped, key=lambda d: d.pose))
-    return StaticPoses(table, used, Campaign(stream.health, offset, len(holds), len(table), left_out))
+    return StaticPoses(table, used, Campaign(health, offset, len(holds), len(table), left_out))
+
+
+def _clocks(bins: Bins, holds: Holds, file: Path, log: Log) -> tuple[Bins, ClockOffset]:
+    """The clocks' offset, and the bins by which it is known.
+
+    Angles that span more than half a turn may be degrees: the commands tell. What is in the file stays as it is read.
+    """
+    fits: list[tuple[float, Bins, ClockOffset]] = []
+    errors: list[InputError] = []
+    for candidate in (bins, bins.from_degrees()) if bins.beyond else (bins,):
+        try:
+            stated = log.offset_seconds
+            offset = _offset(candidate, holds, file) if stated is None else ClockOffset(stated)
+            fits.append((misfit(candidate, holds, offset.seconds), candidate, offset))
+        except InputError as error:
+            errors.append(error)
+    if not fits:
+        raise errors[0]
+    return min(fits, key=lambda fit: fit[0])[1:]
+
+
+def _offset(bins: Bins, holds: Holds, file: Path) -> ClockOffset:
+    """The clocks' offset. Where none fits and one file lasts far longer, the refusal asks for the unit of its time."""
+    try:
+        return estimate_offset(bins, holds, file)
+    except InputError as error:
+        lasted = [float(np.ptp(t)) if len(t) else 0.0 for t in (bins.start, holds.begin)]
+        ratio = lasted[0] / lasted[1] if min(lasted) > 0 else 1.0
+        unit = min(TICKS, key=lambda unit: abs(np.log10(max(ratio, 1 / ratio) * UNITS[unit])))
+        if max(ratio, 1 / ratio) < _LONGER:
+            raise
+        name = "log" if ratio > 1 else "command log"
+        raise InputError(
+            f"{error}. The log lasts {lasted[0]:.3g} s, the commands {lasted[1]:.3g} s. Is the time of the {name} in "
+            f'{unit}? Then name that column t_{unit} and set measure.columns.t = {{from = "t_{unit}", unit = "{unit}"}}'
+        ) from None
 
 
 def _within(file: Path, chunks: Iterable[pd.DataFrame], windows: list[Window]) -> pd.DataFrame:
@@ -72,7 +114,14 @@ def _within(file: Path, chunks: Iterable[pd.DataFrame], windows: list[Window]) -
         return part
 
     parts = [part for part in kept(file, map(inside, chunks)) if len(part)]
-    return complete(pd.concat(parts)) if parts else pd.DataFrame({"t": [], "pose": []})
+    return pd.concat(parts) if parts else pd.DataFrame({"t": [], "pose": []})
+
+
+def _sparse(inside: pd.DataFrame, whole: pd.DataFrame, measure: Measure) -> tuple[str, ...]:
+    """Channels that some samples have, and that are left out since too many lack them; none that nobody asks for."""
+    wanted = measure.channels is None or "yaw" in measure.channels
+    gone = [str(name) for name in inside if name not in whole and inside[name].notna().any()]
+    return tuple(name for name in gone if wanted or name != "yaw")
 
 
 def _telling(samples: pd.DataFrame, measure: Measure) -> pd.DataFrame:

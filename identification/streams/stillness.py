@@ -8,7 +8,7 @@ tilt does not (about gravity).
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -45,6 +45,16 @@ class Bins:
     def moving(self) -> np.ndarray:
         """(m,) whether a bin is not where the one before was, or the one a second before; or whether it turns."""
         return self._moved(1) | self._moved(max(1, round(_SLOW / self.width))) | self._turning()
+
+    @property
+    def beyond(self) -> bool:
+        """Whether roll or pitch spans more than half a turn: then it crosses +-180 degrees, or is not in radians."""
+        return bool(len(self.medians) and np.max(np.ptp(self.medians[:, :2], axis=0)) > np.pi)
+
+    def from_degrees(self) -> Bins:
+        """The same where roll and pitch are in degrees."""
+        scale = np.where(np.arange(len(self.noise)) < 2, np.pi / 180, 1.0)
+        return replace(self, medians=self.medians * scale, noise=self.noise * scale)
 
     def _moved(self, lag: int) -> np.ndarray:
         apart = np.abs(wrap(self.medians[lag:, :2] - self.medians[:-lag, :2]))

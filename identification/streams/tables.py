@@ -12,8 +12,9 @@ from typing import BinaryIO
 import pandas as pd
 
 from kincal.identification.dialect import recognised
-from kincal.identification.streams.columns import OPTIONAL, REQUIRED, mapped, values
+from kincal.identification.streams.columns import OPTIONAL, REQUIRED, Rows, mapped
 from kincal.identification.streams.health import Tally
+from kincal.identification.streams.topics import Topics
 from kincal.identification.table_files import TABLE_NAMES, decoded, header, parquet, readable
 from kincal.urdf.description import Measure
 from kincal.urdf.input_files import bounded_each, check_records
@@ -23,20 +24,26 @@ _LONGEST = 1 << 16  # bytes of a line: beyond it is garbage
 
 
 def logged(file: Path, measure: Measure, form: str, by_pose: bool, tally: Tally) -> Iterator[pd.DataFrame]:
-    """Chunks of a stream; what is no number is NaN, and lines with too few or too many fields are counted as garbage.
+    """Chunks of a stream: blank cells are NaN, other cells without a number infinite. Lines with too few or too many
+    fields are counted as garbage. Rows that are blank in roll and pitch hold no sample.
 
     by_pose: it must have a pose column. Raises InputError for a missing column.
     """
+    topics = Topics(tally, separate=False if by_pose else None)
     with readable(file):
-        if form == "parquet":
-            yield from _parquet(file, measure, by_pose, tally)
-            return
-        measure = _written(file, measure)
-        names = header(file, measure)
-        columns = mapped(names, measure, file, by_pose)
-        sources = [c.source for c in columns.values()]
-        for raw in _csv(file, measure, names, sources, tally):
-            yield values(raw, columns)
+        rows = _parquet(file, measure, by_pose, tally) if form == "parquet" else _text(file, measure, by_pose, tally)
+        for chunk in rows:
+            yield topics.feed(chunk)
+    topics.rest()
+
+
+def _text(file: Path, measure: Measure, by_pose: bool, tally: Tally) -> Iterator[pd.DataFrame]:
+    measure = _written(file, measure)
+    names = header(file, measure)
+    columns = mapped(names, measure, file, by_pose)
+    rows, sources = Rows(file, columns), [c.source for c in columns.values()]
+    for raw in _csv(file, measure, names, sources, tally):
+        yield rows.values(raw)
 
 
 def has_pose(file: Path, measure: Measure, form: str) -> bool:
@@ -53,13 +60,13 @@ def has_pose(file: Path, measure: Measure, form: str) -> bool:
 def _parquet(file: Path, measure: Measure, by_pose: bool, tally: Tally) -> Iterator[pd.DataFrame]:
     with parquet(file) as (table, names):
         columns = mapped(names, measure, file, by_pose)
-        sources = [c.source for c in columns.values()]
-        rows = table.metadata.num_rows
-        check_records(file, rows, rows * len(sources) if by_pose else 0)
+        rows, sources = Rows(file, columns), list(dict.fromkeys(c.source for c in columns.values()))
+        count = table.metadata.num_rows
+        check_records(file, count, count * len(sources) if by_pose else 0)
         batches = table.iter_batches(batch_size=ROWS, columns=sources, use_threads=False)
         for raw in bounded_each(file, (decoded(file, batch) for batch in batches)):
             tally.read += len(raw)
-            yield values(raw, columns)
+            yield rows.values(raw)
 
 
 def _csv(file: Path, measure: Measure, names: list[str], wanted: list[str], tally: Tally) -> Iterator[pd.DataFrame]:

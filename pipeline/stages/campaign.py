@@ -94,6 +94,7 @@ def _from_files(robot: DrawnRobot, measure: Measure, sensor: Sensor) -> Measured
     from kincal.identification.joint_limits import check_readings
     from kincal.identification.measurement_table import noted_table
     from kincal.identification.skipped_poses import kept, skip_note
+    from kincal.identification.streams.angle_units import check_units
     from kincal.identification.streams.campaign import Campaign
     from kincal.identification.streams.reading import read_stream
     from kincal.identification.streams.static_poses import static_poses
@@ -105,6 +106,7 @@ def _from_files(robot: DrawnRobot, measure: Measure, sensor: Sensor) -> Measured
         rows = kept(numbers, measure.skip, measure.commands, dropped)
         table = poses.table[rows].reset_index(drop=True)
         check_readings(table, chain, nominal.actuators, tolerance, measure.commands)
+        check_units(poses.stream, table, nominal, measure, poses.campaign.health.format)
         notes = (skip_note(measure.skip, measure.commands),) if measure.skip else ()
         return Measured(poses.campaign.health.file, table, poses.stream, None, poses.campaign, notes)
     assert measure.table is not None
@@ -115,6 +117,7 @@ def _from_files(robot: DrawnRobot, measure: Measure, sensor: Sensor) -> Measured
         return Measured(measure.table.name, table, None, None, notes=notes)
     check_readings(table, chain, nominal.actuators, tolerance, measure.table)
     stream, health = read_stream(measure.streams, measure)
+    check_units(stream, table, nominal, measure, health.format)
     return Measured(health.file, table, stream, None, Campaign(health, None, len(table), len(table), ()), notes)
 
 

@@ -85,6 +85,21 @@ def stream(n: int = 400, poses: int | None = None) -> pd.DataFrame:
     return found
 
 
+def merged() -> pd.DataFrame:
+    """Topics on one axis of time: attitude, heading and a temperature in rows of their own."""
+    whole = stream().drop(columns="yaw")
+    heading = pd.DataFrame({"t": whole["t"] + 0.004, "yaw": stream()["yaw"]})
+    return pd.concat([whole, heading, pd.DataFrame({"t": whole["t"] + 0.009, "temperature": 21.0})]).sort_values("t")
+
+
+def dated() -> list[pd.DataFrame]:
+    """Streams with time as others write it: the day first, the time of day, two columns, nanoseconds since 1970."""
+    moments = pd.Series(pd.to_datetime(1.7e9 + stream()["t"], unit="s"))
+    day, clock = moments.dt.strftime("%d.%m.%Y"), moments.dt.strftime("%H:%M:%S.%f")
+    times = ({"t": day + " " + clock}, {"t": clock}, {"date": day, "time": clock}, {"t": moments.astype("int64")})
+    return [stream().drop(columns="t").assign(**time) for time in times]
+
+
 def campaign(targets: int = 9, held: float = 7.0, rate: float = 20.0) -> tuple[pd.DataFrame, pd.DataFrame]:
     """A stream and the command log beside it: moves of 1.5 s between targets."""
     random = np.random.default_rng(3)
@@ -115,12 +130,25 @@ def nmea_logs() -> list[Files]:
         sentence(f"PASHR,10{at}.00,{k % 360}.00,T,{r:.2f},{p:.2f},0.10,0.02,0.02,0.03,2,1")
         for k, (at, (r, p)) in enumerate(zip(clock, angles, strict=True))
     ]
+    logs["tagged"] = []
+    for k, (r, p) in enumerate(angles):
+        fields = f"s:mru1,c:{1_700_000_000_000 + 100 * k}"
+        block = f"\\{fields}*{reduce(lambda a, b: a ^ b, fields.encode()):02X}\\"
+        logs["tagged"].append(block + sentence(f"PRDID,{p:.2f},{r:.2f},{k}.0"))
     logs["spread"] = []
     for k, (r, p) in enumerate(angles):
         if k % 10 == 0:
             logs["spread"].append(sentence(f"GPZDA,10{k // 600:02d}{k // 10 % 60:02d}.00,22,11,2026,00,00"))
         logs["spread"] += [sentence(f"HEHDT,{k}.1,T"), sentence(f"IIXDR,A,{p:.2f},D,PITCH,A,{r:.2f},D,ROLL")]
     return [{"log.nmea": "\r\n".join(lines).encode()} for lines in logs.values()]
+
+
+def bags_without_metadata() -> list[Files]:
+    """Folders of a recorder that was killed: their files alone."""
+    return [
+        {f"log_{k}{end}": content for k in (0, 1) for name, content in bags()[kind].items() if name.endswith(end)}
+        for kind, end in (("mcap zstd", ".mcap"), ("mcap", ".mcap"), ("sqlite3", ".db3"))
+    ]
 
 
 @lru_cache

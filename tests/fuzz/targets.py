@@ -13,6 +13,7 @@ from random import Random
 from typing import Any
 
 import numpy as np
+import pandas as pd
 
 from tests.fuzz import mutations, seeds, structure
 from tests.fuzz.mutations import BYTES, TEXTUAL, Mutation
@@ -303,17 +304,21 @@ def _stored(folder: Path, resealed: bool) -> None:
 
 _STREAMS: dict[str, Callable[[], list[Files]]] = {
     "csv": lambda: [{"log.csv": seeds.csv(seeds.stream())}],
-    "parquet": lambda: [{"log.parquet": seeds.parquet(seeds.stream())}],
+    "csv, topics and dates": lambda: [{"log.csv": seeds.csv(s)} for s in (seeds.merged(), *seeds.dated())],
+    "parquet": lambda: [{"log.parquet": seeds.parquet(s)} for s in (seeds.stream(), seeds.merged())],
     "nmea": seeds.nmea_logs,
     "ROS 1 bag": lambda: [files for kind, files in seeds.bags().items() if "ros1" in kind],
     "ROS 2 sqlite3": lambda: [seeds.bags()["sqlite3"]],
     "ROS 2 mcap": lambda: [seeds.bags()[kind] for kind in ("mcap", "mcap zstd")],
+    "ROS 2 without metadata": seeds.bags_without_metadata,
 }
 
 
 def _campaign_files() -> list[Files]:
     log, commands = seeds.campaign()
+    both = seeds.csv(pd.concat([log, commands]).sort_values("t"))
     return [
+        {"log.csv": both, "commands.csv": both},
         {"log.csv": seeds.csv(log), "commands.csv": seeds.csv(commands)},
         {"log.parquet": seeds.parquet(log), "commands.parquet": seeds.parquet(commands)},
     ]

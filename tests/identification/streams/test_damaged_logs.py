@@ -2,6 +2,7 @@
 
 import tracemalloc
 import warnings
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -10,8 +11,9 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from kincal.identification.streams import tables
-from kincal.identification.streams.columns import times, values
+from kincal.identification.streams.columns import Rows
 from kincal.identification.streams.reading import open_stream, read_log
+from kincal.identification.time_stamps import in_seconds
 from kincal.urdf.description import Column, Log, Measure
 from kincal.urdf.errors import InputError
 
@@ -70,7 +72,7 @@ def test_iso_times(tmp_path):
 def test_years_before_nanoseconds_count():
     """64 bits of nanoseconds begin in 1677; 1600 was 370 years, 90 leap days among them, before 1970."""
     written = pd.Series(["1600-01-01T00:00:00Z", "1970-01-01T00:00:01.5Z", "no time"])
-    seconds = times(written, np.full(3, np.nan))
+    seconds = in_seconds(written)
     np.testing.assert_array_equal(seconds, [-(370 * 365 + 90) * 86400.0, 1.5, np.nan])
 
 
@@ -78,9 +80,8 @@ def test_a_number_that_signals_is_none():
     bits = np.array([0x7FF0000000000001], dtype=np.uint64)  # as a spoiled byte may leave it
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        found = values(
-            pd.DataFrame({"t": bits.view(float)}), {"roll": Column.model_validate({"from": "t", "unit": "deg"})}
-        )
+        columns = {"roll": Column.model_validate({"from": "t", "unit": "deg"})}
+        found = Rows(Path("log.csv"), columns).values(pd.DataFrame({"t": bits.view(float)}))
     assert np.isnan(found["roll"]).all()
 
 

@@ -91,7 +91,7 @@ def test_a_nominal_rate_keeps_the_place_of_a_lost_sentence(nmea, write):
 
 
 def test_no_time_at_all_is_refused(nmea, write):
-    with pytest.raises(InputError, match=r"ship\.log: neither time stamps.*rate_hz"):
+    with pytest.raises(InputError, match=r"ship\.log: no time: no stamps or TAG blocks.*rate_hz"):
         logged(write("ship.log", [nmea(BODIES["PRDID"])] * 30))
 
 
