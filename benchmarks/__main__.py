@@ -18,6 +18,7 @@ commands. Long ones, by name:
     predicted_regions    do the regions of predictions hold the truth; ten minutes
     damage            accidents of the store, each tried and counted (make damage); twenty minutes
     family            which unit of a fleet is out of family: false alarms, and units that are missed; ten minutes
+    mistakes          which cause is named, of tables with one mistake each; twenty minutes
     fleet             24 units on 1 and 2 workers and on Dask, and 200 cached ones; twenty minutes
     ship_motion       generated ship motion beside waveresponse's statistics, and the replay of a log; a minute
 """

@@ -218,7 +218,9 @@ def stuck_encoder(case: Case) -> Spoilt:
     first = int(case.random.integers(n // 2, n - 6))
     values = case.table[[joint]].to_numpy(float)
     table = _put(case.table, np.arange(n) >= first, [joint], np.full((n, 1), values[first]))
-    return table, f"{joint} is stuck from pose {case.table['pose'].to_numpy()[first + 1]}"
+    pose = table["pose"].to_numpy()
+    same = int(np.flatnonzero(table[joint].to_numpy() != values[first])[-1]) + 2  # poses on a grid repeat some anyway
+    return table, f"{joint} is stuck from pose ({pose[same]}|{pose[first + 1]})"
 
 
 @mistake

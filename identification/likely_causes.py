@@ -19,7 +19,7 @@ from kincal.identification.measurements import Measurements
 from kincal.identification.mistakes import ROWS, TRANSFORMS, VALUES
 from kincal.identification.mistakes.drift import drifting_part
 from kincal.identification.mistakes.linear import LinearRobot
-from kincal.identification.mistakes.mistake import Kind, Mistake
+from kincal.identification.mistakes.mistake import CONTRADICTION, Kind, Mistake
 from kincal.identification.mistakes.moved import moved_part
 from kincal.identification.mistakes.registered import Registered, drawn_closure, registered
 from kincal.urdf.errors import CalibrationError, InputError
@@ -29,10 +29,15 @@ _BETTER = 4.0  # a mistake is named if the misfit is so many times smaller witho
 _EXPLAINED = 50.0  # the largest misfit that may be left: geometry explains not all of a clean table either
 _CLEAN = 1.5  # misfit of a table without a mistake: less is as good
 _ALIKE = 2.0  # mistakes whose misfits are within this factor explain the measurements alike
+_TELLING = 4.0  # times the misfit that is left without a whole channel: any other mistake says more
 _SHARE = 0.5  # of what the best explains, the least of one that is alike
 _MANY = 3  # times as many poses as another mistake leaves out: it says nothing of those
 _SOME, _LOOK = 24, 60  # poses of a quick look, and of a close one
-_CLOSER, _WORSE, _ABSURD = 8, 30.0, 100.0  # mistakes that are looked at closely; times the least misfit, the least size
+_CLOSER, _WORSE, _ABSURD = (
+    16,
+    30.0,
+    100.0,
+)  # mistakes that are looked at closely; times the least misfit, the least size
 _LONGEST = 300  # poses, among which wrong rows are looked for
 
 Failed = (InputError, CalibrationError, np.linalg.LinAlgError, ValueError)
@@ -101,6 +106,11 @@ def causes_of_small(model: ErrorModel, measured: Measurements, now: float, bette
 
 def _best(tried: Sequence[tuple[float, Mistake]], now: float, better: float) -> Causes | None:
     """Those that explain about as much as the best; tried: with the misfits that are left."""
+    least = min((size for size, _ in tried), default=np.inf)
+    telling = [
+        entry for entry in tried if entry[1].general < CONTRADICTION and entry[0] <= _TELLING * max(least, _CLEAN)
+    ]
+    tried = telling or tried
     least = min((size for size, _ in tried), default=np.inf)
     if not least * better <= now or least > _EXPLAINED:
         return None
@@ -176,5 +186,5 @@ def _contradictions(measured: Measurements) -> list[Mistake]:
         others = tuple(c for c in measured.channels if c != channel)
         if any(c.registers for c in named(others)):
             cause = f"{channel} contradicts {' and '.join(others)}: without it the measurements agree with the drawing"
-            mistakes.append(Mistake(cause, lambda m, others=others: m.only(others), general=2))
+            mistakes.append(Mistake(cause, lambda m, others=others: m.only(others), general=CONTRADICTION))
     return mistakes

@@ -11,6 +11,8 @@ from kincal.identification.channels.channel import Channel
 from kincal.identification.error_model import ErrorModel
 from kincal.identification.measurements import Measurements
 
+SOME_POSES, CONTRADICTION = 1, 2  # how general a mistake is, above 0
+
 
 @dataclass(frozen=True)
 class Mistake:

@@ -12,6 +12,7 @@ from kincal.identification.error_model import ErrorModel, pose_residual
 from kincal.identification.measurements import Measurements
 from kincal.identification.mistakes.mistake import Mistake, of_rows
 from kincal.identification.mistakes.registered import drawn_closure, registered
+from kincal.identification.mistakes.wrong_poses import MOST
 from kincal.urdf.description import listed
 
 _LATE = (1, -1, 2, -2, 3, -3)  # rows
@@ -91,10 +92,13 @@ def stuck_joints(model: ErrorModel, measured: Measurements) -> Iterator[Mistake]
     for j, name in enumerate(model.chain.actuated_names):
         same = np.concatenate([[False], (readings[1:, j] == readings[:-1, j]) & moved])
         starts, lengths = _runs(same)
+        runs = [slice(s, s + n) for s, n in zip(starts, lengths, strict=True) if n >= _STUCK - 1]
         wrong = np.zeros(len(readings), dtype=bool)
-        for start, length in zip(starts, lengths, strict=True):
-            if length >= _STUCK - 1:
-                wrong[start : start + length] = True
+        for run in runs:
+            wrong[run] = True
+        if runs and wrong.mean() > MOST:  # poses on a grid repeat readings; one that is stuck may be so to the end
+            wrong[: runs[-1].start] = False
+            wrong[:] &= runs[-1].stop == len(wrong)
         if wrong.any() and not wrong.all():
             first = measured.pose[np.argmax(wrong)]
             count = int(wrong.sum())

@@ -11,7 +11,7 @@ from kincal.identification.channels import named
 from kincal.identification.error_model import ErrorModel, pose_residual
 from kincal.identification.measurements import Measurements
 from kincal.identification.mistakes.linear import LinearRobot
-from kincal.identification.mistakes.mistake import Mistake, of_rows
+from kincal.identification.mistakes.mistake import SOME_POSES, Mistake, of_rows
 from kincal.identification.mistakes.registered import Registered, drawn_closure, registered
 from kincal.urdf.description import listed
 
@@ -29,7 +29,7 @@ def wrong_poses(model: ErrorModel, measured: Measurements) -> Iterator[Mistake]:
         numbers = measured.pose[wrong]
         one = len(numbers) == 1
         cause = f"pose{'s' * (not one)} {listed(numbers)} {'does' if one else 'do'} not fit the others"
-        yield of_rows(cause, measured, wrong, general=1)
+        yield of_rows(cause, measured, wrong, general=SOME_POSES)
 
 
 def _wrong(model: ErrorModel, measured: Measurements) -> np.ndarray:

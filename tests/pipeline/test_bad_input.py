@@ -140,7 +140,7 @@ TABLES = {
     "text pose": (changed("pose", "first"), ["pose", "row 5"]),
     "half a pose": (changed("pose", 4.5), ["pose", "row 5"]),
     "no joint": (lambda table: table.drop(columns="leg3_slide"), ["leg3_slide", "missing"]),
-    "millimetres": (times(1000, "leg1_slide", "leg2_slide", "leg3_slide"), ["leg1_slide", "limits", "in millimetres"]),
+    "millimetres": (times(1000, "leg1_slide", "leg2_slide", "leg3_slide"), ["leg1_slide", "limits", "a column's unit"]),
     "beyond a limit": (changed("leg1_slide", 0.7), ["pose 4", "leg1_slide", "limits"]),
     "duplicate pose": (changed("pose", 3), ["pose 3", "twice"]),
     "short quaternion": (times(0.9, *QUATERNION), ["quaternion", "0.9"]),
