@@ -31,6 +31,7 @@ _CLEAN = 1.5  # misfit of a table without a mistake: less is as good
 _ALIKE = 2.0  # mistakes whose misfits are within this factor explain the measurements alike
 _TELLING = 4.0  # times the misfit that is left without a whole channel: any other mistake says more
 _SHARE = 0.5  # of what the best explains, the least of one that is alike
+_SAME = 1.01  # times the least misfit: the same
 _MANY = 3  # times as many poses as another mistake leaves out: it says nothing of those
 _SOME, _LOOK = 24, 60  # poses of a quick look, and of a close one
 _CLOSER, _WORSE, _ABSURD = (
@@ -49,6 +50,7 @@ class Causes:
 
     mistakes: tuple[Mistake, ...]
     misfit: float  # without the likeliest
+    symmetric: bool = False  # whether all explain the measurements equally well
 
     @property
     def wrong(self) -> tuple[int, ...]:
@@ -64,7 +66,9 @@ class Causes:
         """Causes; several that a symmetry makes one are named once."""
         counts = Counter(mistake.alike for mistake in self.mistakes if mistake.alike)
         words = (m.alike if m.alike and counts[m.alike] > 1 else m.cause for m in self.mistakes)
-        return ", or ".join(dict.fromkeys(words))
+        different = list(dict.fromkeys(words))
+        alike = " (a symmetry makes these alike)" if self.symmetric and len(different) > 1 else ""
+        return ", or ".join(different) + alike
 
 
 def misfit(model: ErrorModel, measured: Measurements) -> float:
@@ -118,8 +122,8 @@ def _best(tried: Sequence[tuple[float, Mistake]], now: float, better: float) -> 
     alike = sorted((entry for entry in tried if entry[0] <= most), key=lambda entry: entry[0])
     level = min(mistake.general for _, mistake in alike)
     fewest = min((mistake.rows for _, mistake in alike if mistake.rows), default=0)
-    named = [m for _, m in alike if m.general == level and m.rows <= _MANY * fewest]
-    return Causes(tuple(named or [alike[0][1]]), least)
+    named = [(s, m) for s, m in alike if m.general == level and m.rows <= _MANY * fewest] or alike[:1]
+    return Causes(tuple(m for _, m in named), least, all(s < _SAME * named[0][0] for s, _ in named))
 
 
 def _spread(measured: Measurements, most: int) -> Measurements:
