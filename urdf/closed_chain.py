@@ -114,6 +114,8 @@ def load_drawing(text: str, file: Path) -> Drawing:
     root = parse(text, file)
     if root.tag == "mujoco":
         return read_mjcf(root, file)
+    if any("xacro" in str(element.tag) or any("${" in v for v in element.attrib.values()) for element in root.iter()):
+        raise InputError(f"{file}: it is a xacro file; expand it first, as `xacro robot.urdf.xacro > robot.urdf` does")
     if root.tag != "robot":
         raise InputError(f"{file}: the root element is <{root.tag}>; allowed are <robot> (URDF) and <mujoco> (MJCF)")
     return read_urdf(root, text, file)

@@ -51,6 +51,7 @@ def as_built(poses: Poses, settings: Identify) -> AsBuilt:
     from kincal.identification.coverage import coverage_finding
     from kincal.identification.diagnosis import cause_of_misfit, explained, screened
     from kincal.identification.estimators import estimate_parameters, register
+    from kincal.identification.rounding import rounding_finding
     from kincal.identification.summary import left_out, summarise
     from kincal.urdf.errors import CalibrationError
 
@@ -65,7 +66,9 @@ def as_built(poses: Poses, settings: Identify) -> AsBuilt:
         raise explained(errors, measurements, error) from None
     uncovered = coverage_finding(errors, poses.model.mechanism.workspace, measurements, whole, poses.seed)
     cause = cause_of_misfit(errors, measurements, whole.p, screening.misfit)
-    findings = [text for text in (screening.finding, *made.findings, cause, uncovered) if text]
+    told = [text for text in made.findings if not (cause and text.startswith("likely cause"))]
+    rounded = rounding_finding(poses.filtered.table, poses.measurements)
+    findings = [text for text in (screening.finding, *told, cause, rounded, uncovered) if text]
     outliers = made.outliers
     if screening.finding:
         outliers = (*left_out(errors, poses.measurements[~screening.kept], whole.p), *outliers)
