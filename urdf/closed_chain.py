@@ -109,12 +109,15 @@ class ClosedChain:
         return model, constraints
 
 
+_NUMBERS = ("xyz", "rpy", "value", "lower", "upper")  # attributes; a name may be anything
+
+
 def load_drawing(text: str, file: Path) -> Drawing:
     """The text of a URDF or an MJCF as a drawing; `file` is where it came from, for messages."""
     root = parse(text, file)
     if root.tag == "mujoco":
         return read_mjcf(root, file)
-    if any("xacro" in str(element.tag) or any("${" in v for v in element.attrib.values()) for element in root.iter()):
+    if any("xacro" in str(e.tag) or any("${" in e.get(key, "") for key in _NUMBERS) for e in root.iter()):
         raise InputError(f"{file}: it is a xacro file; expand it first, as `xacro robot.urdf.xacro > robot.urdf` does")
     if root.tag != "robot":
         raise InputError(f"{file}: the root element is <{root.tag}>; allowed are <robot> (URDF) and <mujoco> (MJCF)")
