@@ -13,6 +13,7 @@ from kincal.identification.estimators import Estimate, register
 from kincal.identification.identification import HUMAN
 from kincal.identification.likely_causes import Causes, causes_of_small, likely_causes, misfit
 from kincal.identification.measurements import Measurements
+from kincal.identification.mistakes.drift import DRIFT
 from kincal.identification.mistakes.linear import FRAMES, LinearRobot
 from kincal.identification.registration import MIN_POSES
 from kincal.urdf.errors import CalibrationError, InputError, MovedFarError
@@ -127,8 +128,10 @@ def cause_of_misfit(model: ErrorModel, measured: Measurements, p: np.ndarray, si
         small = size > _SMALL_MISFIT
         causes = causes_of_small(model, measured, size, _SMALL_BETTER) if small else None
         what = "residuals are large"
-    # of a drift alone, `drift_finding` tells
-    return "" if causes is None or causes.lasting else f"{what}; likely cause: {causes}"
+    # of a drift, `drift_finding` tells
+    if causes is None or str(causes).startswith(DRIFT):
+        return ""
+    return f"{what}; likely cause: {causes}; 95 % regions do not know of it, and can't be trusted"
 
 
 def _check_closed(model: ErrorModel, measured: Measurements, causes: Causes | None) -> None:

@@ -12,7 +12,7 @@ from kincal.identification.measurements import Measurements
 from kincal.identification.mistakes.linear import LinearRobot
 from kincal.identification.mistakes.mistake import Mistake
 from kincal.identification.mistakes.registered import frame_columns
-from kincal.urdf.rigid_motion import Motion
+from kincal.urdf.rigid_motion import Motion, log
 
 _FEWEST = 6  # poses before and after
 _TIMES = 3  # linearisations
@@ -25,8 +25,9 @@ def moved_part(model: ErrorModel, measured: Measurements) -> Iterator[Mistake]:
         return
     robot = LinearRobot.of(model, measured)
     for part, columns in _MOVES:
-        first, _ = _step(robot, measured, columns, None)
-        cause = f"the {part} moved between poses {measured.pose[first - 1]} and {measured.pose[first]}"
+        first, step = _step(robot, measured, columns, None)
+        when = f"between poses {measured.pose[first - 1]} and {measured.pose[first]}"
+        cause = f"the {part} moved {when} ({_size(robot, measured, Motion.from_vector(step), part)})"
         yield Mistake(cause, lambda m, first=first, columns=columns: _moved_back(model, m, columns, first))
 
 
@@ -53,6 +54,15 @@ def _step(robot: LinearRobot, measured: Measurements, part: slice, first: int | 
         if fall > best[0]:
             best, chosen = (fall, k), step
     return best[1], chosen
+
+
+def _size(robot: LinearRobot, measured: Measurements, move: Motion, part: str) -> str:
+    """How far the target seems to have moved: by its turn, and where positions are measured by their mean shift."""
+    pose = robot.at.robot.measured(robot.at.tool)
+    after = move @ pose if part == "instrument" else pose @ move
+    turned = f"{np.rad2deg(np.linalg.norm(log(move.rotation))):.2g} deg"
+    shift = 1e3 * np.mean(np.linalg.norm(after.translation - pose.translation, axis=1))
+    return f"{shift:.2g} mm, {turned}" if "position" in measured.values else turned
 
 
 def _moved_back(model: ErrorModel, m: Measurements, part: slice, first: int) -> Measurements:
