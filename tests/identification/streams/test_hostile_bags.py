@@ -120,7 +120,7 @@ def test_a_message_that_unpacks_to_gigabytes(tmp_path, monkeypatch):
     Path("/proc/self/clear_refs").write_text("5")
     before = _peak()
     refused(tmp_path / "bag", "0 of 1 records")
-    assert _peak() - before < 330  # the bound, and what kincal itself needs
+    assert _peak() - before < 450  # half of the message: the bound of 300, and what the allocator keeps beside it
 
 
 def _peak() -> float:
