@@ -139,7 +139,10 @@ class Kincal:
             *own,
             *arguments[1:],
         ]
-        environment = os.environ | {"PYTHONPATH": str(ROOT / "src"), "PYTHONDONTWRITEBYTECODE": "1"}
+        environment = os.environ | {
+            "PYTHONPATH": os.pathsep.join((str(ROOT / "src"), str(ROOT))),
+            "PYTHONDONTWRITEBYTECODE": "1",
+        }
         began = time.perf_counter()
         done = subprocess.run(
             command, cwd=folder, env=environment, capture_output=True, text=True, errors="replace", timeout=SECONDS
