@@ -110,6 +110,15 @@ def xml(value: str) -> str:
     return "".join(c for c in value if c.isprintable() or c in "\t\n").replace("\n", "&#10;").replace("\t", "&#9;")
 
 
+def each_with_a_long_value(run, drawing: Path, places: list[tuple[str, str]], value: str) -> None:
+    """The robot beside the drawing, with the value in one place of it after the other."""
+    text = drawing.read_text()
+    for pattern, new in places:
+        assert re.search(pattern, text), pattern
+        drawing.write_text(re.sub(pattern, lambda _, new=new: new.format(xml(value)), text, count=1), encoding="utf-8")
+        cautious(run(drawing.parent / "robot.toml", "model"), status=None)
+
+
 URDF = [
     (r'<link name="base"', '<link name="{}"'),
     (r'<link name="leg1_rod"', '<link name="{}"'),
@@ -125,18 +134,15 @@ URDF = [
 
 @pytest.mark.parametrize("value", VALUES.values(), ids=VALUES)
 def test_drawings(run, robot_folder, value):
-    file, text = robot_folder / "robot.urdf", (robot_folder / "robot.urdf").read_text()
-    for pattern, new in URDF:
-        assert re.search(pattern, text), pattern
-        file.write_text(re.sub(pattern, lambda _, new=new: new.format(xml(value)), text, count=1), encoding="utf-8")
-        cautious(run(robot_folder / "robot.toml", "model"), status=None)
+    file = robot_folder / "robot.urdf"
+    each_with_a_long_value(run, file, URDF, value)
     for text in (f"<{'Q' * 9999}/>", f"<mujoco><{'Q' * 9999}/></mujoco>"):
         file.write_text(text)
         cautious(run(robot_folder / "robot.toml", "model"))
 
 
 MJCF = [
-    (r'class name="', 'class name="{}'),
+    (r'default class="leg3"', 'default class="{}"'),
     (r'class="slide"', 'class="{}"'),
     (r'range="[^"]*"', 'range="{}"'),
     (r'body name="leg1_rod"', 'body name="{}"'),
@@ -152,10 +158,7 @@ MJCF = [
 @pytest.mark.parametrize("value", VALUES.values(), ids=VALUES)
 def test_mjcf(run, tmp_path, value):
     folder = Path(shutil.copytree(Path(__file__).parents[1] / "data" / "ups3_mjcf", tmp_path / "robot"))
-    file, text = folder / "robot.xml", (folder / "robot.xml").read_text()
-    for pattern, new in MJCF:
-        file.write_text(re.sub(pattern, lambda _, new=new: new.format(xml(value)), text, count=1), encoding="utf-8")
-        cautious(run(folder / "robot.toml", "model"), status=None)
+    each_with_a_long_value(run, folder / "robot.xml", MJCF, value)
 
 
 def cell(value: str) -> str:
