@@ -19,6 +19,8 @@ if TYPE_CHECKING:
 
 def identify_stage(poses: Poses, measured: Measured, identify: Identify) -> Identified:
     """All geometric parameters from the measured poses; and from parts of them, to be scored on the rest."""
+    import numpy as np
+
     from kincal.identification.poses import folds, held_out
 
     built = as_built(poses, identify)
@@ -31,7 +33,7 @@ def identify_stage(poses: Poses, measured: Measured, identify: Identify) -> Iden
         registered=built.registered,
         held_out=_fit(errors, measurements, test, identify),
         folds=tuple(_fit(errors, measurements, part, identify) for part in parts),
-        left_out=tuple(int(n) for n in poses.measurements.pose if n not in set(measurements.pose.tolist())),
+        left_out=tuple(np.setdiff1d(poses.measurements.pose, measurements.pose).tolist()),
     )
 
 
@@ -66,9 +68,9 @@ def as_built(poses: Poses, settings: Identify) -> AsBuilt:
         raise explained(errors, measurements, error) from None
     uncovered = coverage_finding(errors, poses.model.mechanism.workspace, measurements, whole, poses.seed)
     cause = cause_of_misfit(errors, measurements, whole.p, screening.misfit)
-    told = [text for text in made.findings if not (cause and text.startswith("likely cause"))]
+    findings = [text for text in made.findings if not (cause and text.startswith("likely cause"))]
     rounded = rounding_finding(poses.filtered.table, poses.measurements)
-    findings = [text for text in (screening.finding, *told, cause, rounded, uncovered) if text]
+    findings = [text for text in (screening.finding, *findings, cause, rounded, uncovered) if text]
     outliers = made.outliers
     if screening.finding:
         outliers = (*left_out(errors, poses.measurements[~screening.kept], whole.p), *outliers)
