@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING
 from kincal.pipeline.results import Filtered, Measured, Model, PosePlan
 from kincal.pipeline.stages.robot_data import DrawnRobot
 from kincal.urdf.description import Actuator, Filter, Instruments, Measure, Plan, Sensor
-from kincal.urdf.errors import TableError
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -131,11 +130,8 @@ def check_measured(robot: DrawnRobot, table: pd.DataFrame, sensor: Sensor, file:
     from kincal.identification.measurements import to_measurements
 
     model = robot.errors
-    error = beyond_limits(table, model.chain, model.actuators, robot.tolerance, file)
-    if error is None:
+    beyond = beyond_limits(table, model.chain, model.actuators, robot.tolerance, file)
+    if beyond is None:
         return
     causes = likely_causes(model, to_measurements(table, model.chain.actuated_names, sensor), math.inf)
-    if causes is None:
-        raise error
-    beyond = str(error).partition("; is it in ")[0]
-    raise TableError(f"{beyond}; likely cause: {causes}", error.column, error.row)
+    raise beyond.error("" if causes is None else str(causes))
