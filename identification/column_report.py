@@ -13,7 +13,7 @@ from kincal.identification.channels import CHANNELS
 from kincal.identification.column_proposals import proposals
 from kincal.identification.dialect import recognised
 from kincal.identification.measurement_table import known_columns, used_columns
-from kincal.identification.table_files import TABLE_NAMES, floats, load
+from kincal.identification.table_files import TABLE_NAMES, floats, is_blank, load
 from kincal.identification.workbooks import WORKBOOKS
 from kincal.urdf.description import EULER_ANGLES, Column, Measure
 
@@ -79,7 +79,7 @@ def _column(
     numbers = floats(values)
     finite = numbers[np.isfinite(numbers)]
     low, high = (float(finite.min()), float(finite.max())) if len(finite) else (None, None)
-    blank = int(sum(v is None or v != v or (isinstance(v, str) and not v.strip()) for v in values.tolist()))
+    blank = int(is_blank(values).sum())
     canonical = taken.get(name, "")
     if canonical:
         unit = used[canonical].unit

@@ -14,7 +14,7 @@ from kincal.identification.column_names import check_units, matched, misspelt, u
 from kincal.identification.joint_table import with_joints
 from kincal.identification.orientations import as_quaternion, check_notation, shadowed
 from kincal.identification.skipped_poses import kept, skip_note
-from kincal.identification.table_files import floats, load
+from kincal.identification.table_files import floats, is_blank, load
 from kincal.urdf.description import EULER_ANGLES, Column, Measure, listed, nearest
 from kincal.urdf.errors import InputError, TableError, quoted
 
@@ -145,8 +145,7 @@ def _unmeasured(raw: pd.DataFrame, joints: Sequence[str], measure: Measure) -> n
     seen = [column.source for name, column in sources.items() if name not in ("pose", *joints)]
     if not seen:
         return np.zeros(len(raw), dtype=bool)
-    blank = raw[seen].map(lambda v: v is None or v != v or (isinstance(v, str) and not v.strip()))
-    return np.asarray(blank.to_numpy(bool).all(axis=1))
+    return np.all([is_blank(raw[name]) for name in seen], axis=0)
 
 
 def table_notes(raw: pd.DataFrame, joints: Sequence[str], measure: Measure, file: Path | str) -> tuple[str, ...]:

@@ -147,6 +147,13 @@ def floats(values: pd.Series) -> np.ndarray:
         return np.array([_float(value) for value in values], dtype=float)
 
 
+def is_blank(values: pd.Series) -> np.ndarray:
+    """(n,) bool: which cells of a column hold nothing."""
+    return np.array(
+        [v is None or v != v or (isinstance(v, str) and not v.strip()) for v in values.tolist()], dtype=bool
+    )
+
+
 def _float(value: Any) -> float:
     try:
         return float(value)

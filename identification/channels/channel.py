@@ -16,6 +16,7 @@ from kincal.urdf.rigid_motion import Motion
 
 UP = np.array([0.0, 0.0, 1.0])  # the vertical in the measurement frame
 
+LENGTHS = {"millimetres": 1e-3, "centimetres": 1e-2, "inches": 0.0254}  # [m] that people take for metres
 Mistake = tuple[str, Callable[[np.ndarray], np.ndarray]]  # what is wrong, and the values without it
 
 

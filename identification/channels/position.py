@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import casadi as ca
 import numpy as np
 
-from kincal.identification.channels.channel import Channel, Mistake, Registered
+from kincal.identification.channels.channel import LENGTHS, Channel, Mistake, Registered
 from kincal.urdf.rigid_motion import Motion
 
 
@@ -34,7 +34,7 @@ class _Position(Channel):
 
     def mistakes(self) -> Iterator[Mistake]:
         how = "(measure.columns gives a column's unit)"
-        for unit, metres in (("millimetres", 1e-3), ("centimetres", 1e-2), ("inches", 0.0254)):
+        for unit, metres in LENGTHS.items():
             yield f"x, y, z are in {unit}, not metres {how}", lambda values, metres=metres: values * metres
         yield f"x, y, z are a thousand times too small {how}", lambda values: values * 1e3
 

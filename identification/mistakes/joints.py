@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from kincal.identification.channels.channel import LENGTHS
 from kincal.identification.error_model import ErrorModel
 from kincal.identification.measurements import Measurements
 from kincal.identification.mistakes.mistake import Mistake
@@ -16,7 +17,6 @@ from kincal.urdf.errors import InputError
 
 _SMALL = 1e-5  # of a difference [m, rad, 1]
 _FACTORS = (1.0, 0.5, 2.0, 1 / 3, 3.0, 0.25, 4.0, 0.2, 5.0, 0.1, 10.0)
-_LENGTHS = {"millimetres": 1e-3, "centimetres": 1e-2, "inches": 0.0254}
 _ANGLES = {"degrees": np.pi / 180, "revolutions": 2 * np.pi}
 
 
@@ -40,7 +40,7 @@ def joint_zeros(model: ErrorModel, measured: Measurements) -> Iterator[Mistake]:
 def joint_units(model: ErrorModel, measured: Measurements) -> Iterator[Mistake]:
     """One joint, or all of a kind, in another unit."""
     names, sliding = model.chain.actuated_names, model.chain.prismatic[model.chain.actuated]
-    for slides, units, unit in ((True, _LENGTHS, "metres"), (False, _ANGLES, "radians")):
+    for slides, units, unit in ((True, LENGTHS, "metres"), (False, _ANGLES, "radians")):
         chosen = [j for j in range(len(names)) if sliding[j] == slides]
         for other, factor in units.items():
             groups = [[j] for j in chosen] + ([chosen] if len(chosen) > 1 else [])
