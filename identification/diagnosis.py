@@ -2,26 +2,24 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
 
 from kincal.identification.channels import named
 from kincal.identification.error_model import ErrorModel, Parameters
-from kincal.identification.estimators import Estimate, register
 from kincal.identification.identification import HUMAN
-from kincal.identification.likely_causes import Causes, causes_of_small, likely_causes, misfit
+from kincal.identification.likely_causes import BETTER, Causes, causes_of_small, likely_causes, misfit
 from kincal.identification.measurements import Measurements
-from kincal.identification.mistakes.drift import DRIFT
 from kincal.identification.mistakes.linear import FRAMES, LinearRobot
+from kincal.identification.mistakes.parts import DRIFT
 from kincal.identification.registration import MIN_POSES
 from kincal.urdf.errors import CalibrationError, InputError, MovedFarError
 from kincal.urdf.rigid_motion import log
 
 _MISFIT = 16.0  # beyond, a mistake is looked for: four times what tolerances and sigmas allow
 _FLAGGED_BETTER = 1.5  # a mistake explains parameters that moved far if the misfit is so many times smaller without it
-_BETTER = 4.0  # and any other failed fit
 _TOO_SMALL, _AT_ONCE = 2.0, 300  # times: sigmas that are worth a word; poses that tell it
 _SMALL_MISFIT, _SMALL_BETTER = 2.5, 2.0  # and large residuals, where the misfit is larger than that
 _MANY = 0.1  # of the poses
@@ -55,10 +53,12 @@ def screened(model: ErrorModel, measured: Measurements, reject_outliers: bool = 
     _check_spread(model, measured)
     size = misfit(model, measured)
     everything = np.ones(len(measured), dtype=bool)
-    copies = copied_columns(measured) if size > _MISFIT else ""
+    if size <= _MISFIT:
+        return Screening(everything, "", size)
+    copies = copied_columns(measured)
     if copies:
         raise InputError(f"measurements: {_far(size)}; likely cause: {copies}")
-    causes = likely_causes(model, measured, size) if size > _MISFIT else None
+    causes = likely_causes(model, measured, size)
     if causes is not None and causes.wrong and reject_outliers:
         return Screening(~np.isin(measured.pose, causes.wrong), str(causes), causes.misfit)
     if np.isinf(size):
@@ -86,16 +86,10 @@ def copied_columns(measured: Measurements) -> str:
     return ""
 
 
-def registered(model: ErrorModel, measured: Measurements, max_iterations: int) -> Estimate:
-    """`register` of what passes `screened` whole. Raises as both do."""
-    screened(model, measured, reject_outliers=False)
-    return register(model, measured, max_iterations)
-
-
 def explained(model: ErrorModel, measured: Measurements, error: CalibrationError) -> CalibrationError:
     """A failed fit with its likely cause, where one is known; a parameter that moved far is then not to blame."""
     moved = isinstance(error, MovedFarError)
-    causes = likely_causes(model, measured, misfit(model, measured), _FLAGGED_BETTER if moved else _BETTER)
+    causes = likely_causes(model, measured, misfit(model, measured), _FLAGGED_BETTER if moved else BETTER)
     cause = str(causes) if causes is not None else too_small_sigmas(model, measured) if moved else ""
     if cause:
         error.args = (f"{error.reason if moved else error}; likely cause: {cause}",)
@@ -108,9 +102,7 @@ def too_small_sigmas(model: ErrorModel, measured: Measurements) -> str:
     factor = robot.sigmas_that_fit()
     if factor < _TOO_SMALL:
         return ""
-    _, step = replace(robot, residual=robot.residual / factor, jacobian=robot.jacobian / factor).solved(
-        np.ones(len(robot.residual))
-    )
+    _, step = robot.with_sigmas(factor).solved()
     if np.max(np.abs(step[:-FRAMES])) > FLAGGED:
         return ""
     times = f"{float(f'{factor:.2g}'):g} times larger no parameter moves by {FLAGGED:g} tolerances"

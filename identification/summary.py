@@ -19,7 +19,8 @@ from kincal.urdf.description import Identify
 from kincal.urdf.errors import CalibrationError, MovedFarError
 
 _OUTLIER = 1e-5  # the probability that a good pose looks like one
-_WIDE, _FEWEST_TOLD, _TOLD = 10.0, 8, 0.2  # tolerances so many times too wide, by so many parameters, of such a share
+_WIDE = 10.0  # tolerances so many times too wide are worth a word
+_FEWEST, _SHARE = 8, 0.2  # by so many parameters, each of such a share that is the data's
 _MEDIAN = 0.6745  # of the size of a standard normal deviate
 _SURPRISE = 1e-6  # of a chi-square: less likely is a finding
 
@@ -126,11 +127,12 @@ def _verdict(
 
 def _tolerance(model: ErrorModel, estimate: Estimate) -> tuple[str, ...]:
     """A word where what the data determine moved much less than the tolerances allow."""
-    told = estimate.resolution[:-12] > _TOLD
-    if np.sum(told) < _FEWEST_TOLD:
+    tolerance, share = model.parameters.tolerance[:-12], estimate.resolution[:-12]
+    determined = share > _SHARE
+    if np.sum(determined) < _FEWEST:
         return ()
-    sizes = estimate.p[:-12] / model.parameters.tolerance[:-12] / np.sqrt(np.maximum(estimate.resolution[:-12], _TOLD))
-    moved = float(np.median(np.abs(sizes[told]))) / _MEDIAN
+    sizes = np.abs(estimate.p[:-12] / tolerance)[determined] / np.sqrt(share[determined])
+    moved = float(np.median(sizes)) / _MEDIAN
     if moved * _WIDE > 1:
         return ()
     times = float(f"{1 / max(moved, 1e-12):.1g}")

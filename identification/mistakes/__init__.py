@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from kincal.identification.mistakes.axes import mirrored_axis, swapped_axes
 from kincal.identification.mistakes.degrees import degrees
-from kincal.identification.mistakes.drift import drifting_part
 from kincal.identification.mistakes.instrument import instrument_scale
 from kincal.identification.mistakes.joints import common_scale, joint_gains, joint_signs, joint_units, joint_zeros
 from kincal.identification.mistakes.mistake import Kind
-from kincal.identification.mistakes.moved import moved_part
+from kincal.identification.mistakes.parts import parts_that_are_off
 from kincal.identification.mistakes.rotations import other_notation
 from kincal.identification.mistakes.rows import (
     late_from_some_row,
@@ -45,6 +44,5 @@ ROWS: tuple[Kind, ...] = (  # of some rows, or of their order
     late_rows,
     late_from_some_row,
     wrong_poses,
-    moved_part,
-    drifting_part,
+    parts_that_are_off,
 )

@@ -12,6 +12,7 @@ from kincal.identification.channels import named
 from kincal.identification.error_model import ErrorModel, pose_residual
 from kincal.identification.measurements import Measurements
 from kincal.identification.mistakes.registered import Registered, registered
+from kincal.urdf.rigid_motion import Motion
 
 _FLAT = 0.1  # sigma of W's and T's steps beside the registered ones [m, rad]
 FRAMES = 12
@@ -48,17 +49,24 @@ class LinearRobot:
 
         Errors that geometry can't explain, and the second order, make it larger.
         """
-        _, step = self.solved(np.ones(len(self.residual)))
-        left = self.residual + self.jacobian @ step
-        return float(np.sum(left**2) + np.sum(step[:-FRAMES] ** 2)) / self.freedom
+        _, step = self.solved()
+        return float(np.sum(self.after(step) ** 2) + np.sum(step[:-FRAMES] ** 2)) / self.freedom
+
+    @cached_property
+    def predicted(self) -> Motion:
+        """(n) poses that the registered robot shows at the readings."""
+        return self.at.robot.measured(self.at.tool)
+
+    def with_sigmas(self, factor: float) -> LinearRobot:
+        """The same, all sigmas so many times larger."""
+        return replace(self, residual=self.residual / factor, jacobian=self.jacobian / factor)
 
     def sigmas_that_fit(self) -> float:
         """By how much all sigmas are to be multiplied for residuals, after the fit, that are as large as they."""
         factor = 1.0
         for _ in range(_ROUNDS):
-            scaled = replace(self, residual=self.residual / factor, jacobian=self.jacobian / factor)
-            step = scaled.solved(np.ones(len(self.residual)))[1]
-            change = float(np.sqrt(np.sum((scaled.residual + scaled.jacobian @ step) ** 2) / self.freedom))
+            scaled = self.with_sigmas(factor)
+            change = float(np.sqrt(np.sum(scaled.after(scaled.solved()[1]) ** 2) / self.freedom))
             factor *= change
             if abs(change - 1) < _SETTLED:
                 break
@@ -69,7 +77,7 @@ class LinearRobot:
 
         `misfit` itself where the loops do not close there.
         """
-        _, step = self.solved(np.ones(len(self.residual)))
+        _, step = self.solved()
         drawn = model.with_frames(np.zeros(len(model.parameters)), self.at.robot.instrument, self.at.robot.target)
         p = drawn + step * _sigma(model)
         robot = model.robot(p)
@@ -88,18 +96,22 @@ class LinearRobot:
         """Rows less those that W and T take."""
         return max(self.residual.size - FRAMES, 1)
 
-    def solved(self, weights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """The weighted information's Cholesky factor, and the step to the minimum; weights: (n,) of the poses."""
+    def solved(self, weights: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
+        """The information's Cholesky factor, and the step to the minimum; weights: (n,) of the poses, default 1."""
         rows = self.jacobian.reshape(-1, self.jacobian.shape[-1])
-        weighted = np.repeat(weights, self.residual.shape[1])[:, None] * rows
+        weighted = rows if weights is None else np.repeat(weights, self.residual.shape[1])[:, None] * rows
         information = weighted.T @ rows
         information.flat[:: len(information) + 1] += 1.0
         factor = scipy.linalg.cholesky(information, lower=True)
         return factor, -scipy.linalg.cho_solve((factor, True), weighted.T @ self.residual.ravel())
 
+    def after(self, step: np.ndarray) -> np.ndarray:
+        """(n, rows a pose) residuals after a step."""
+        return self.residual + self.jacobian @ step
+
     def lengths(self, step: np.ndarray) -> dict[str, np.ndarray]:
         """{channel: (n,) length of each pose's whitened residual after a step}."""
-        left, first, lengths = self.residual + self.jacobian @ step, 0, {}
+        left, first, lengths = self.after(step), 0, {}
         for channel in named(self.channels):
             lengths[channel.name] = np.linalg.norm(left[:, first : first + channel.rows], axis=1)
             first += channel.rows

@@ -13,6 +13,7 @@ from kincal.identification.mistakes.mistake import Mistake
 from kincal.identification.mistakes.registered import drawn_closure, registered
 from kincal.urdf.errors import InputError
 from kincal.urdf.kinematics import Closure
+from kincal.urdf.rigid_motion import log, wrap
 
 _PROPER = ("ZYZ", "ZXZ", "XYX", "XZX", "YXY", "YZY")
 _OTHERS = ("XZY", "YXZ", "YZX", "ZXY", "ZYX")
@@ -52,7 +53,7 @@ def _read(
     read = rotation(angles)
     if np.abs(angles[:, [0, 2]]).max() > np.pi / 2:  # the middle angle in the table may have been beyond 90 degrees
         x, y, z = angles.T
-        other = rotation(np.stack([_wrapped(x + np.pi), _wrapped(np.pi - y), _wrapped(z + np.pi)], axis=-1))
+        other = rotation(np.stack([wrap(x + np.pi), wrap(np.pi - y), wrap(z + np.pi)], axis=-1))
         closure = drawn_closure(model, m.readings)
         first = _nearer(closure.pose.rotation, read, other)[:, None, None]
         # where the other reading is the same in other frames, W and T of the positions tell which it is
@@ -66,10 +67,6 @@ def _size(model: ErrorModel, m: Measurements, closure: Closure) -> float:
         return registered(model, m, closure).size
     except InputError:
         return np.inf
-
-
-def _wrapped(angle: np.ndarray) -> np.ndarray:
-    return (angle + np.pi) % (2 * np.pi) - np.pi
 
 
 def _nearer(drawn: np.ndarray, read: np.ndarray, other: np.ndarray) -> np.ndarray:
@@ -96,4 +93,4 @@ def _nearer(drawn: np.ndarray, read: np.ndarray, other: np.ndarray) -> np.ndarra
 
 def _angles(rotation: np.ndarray) -> np.ndarray:
     """Of rotations (..., 3, 3) [rad]."""
-    return np.arccos(np.clip((np.trace(rotation, axis1=-2, axis2=-1) - 1) / 2, -1, 1))
+    return np.linalg.norm(log(rotation), axis=-1)

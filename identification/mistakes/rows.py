@@ -10,10 +10,9 @@ import numpy as np
 from kincal.identification.channels import named
 from kincal.identification.error_model import ErrorModel, pose_residual
 from kincal.identification.measurements import Measurements
-from kincal.identification.mistakes.mistake import Mistake, of_rows
+from kincal.identification.mistakes.mistake import Mistake, numbered, of_rows
 from kincal.identification.mistakes.registered import drawn_closure, registered
 from kincal.identification.mistakes.wrong_poses import MOST
-from kincal.urdf.description import listed
 
 _LATE = (1, -1, 2, -2, 3, -3)  # rows
 _FEWEST = 8  # rows of each part
@@ -69,7 +68,7 @@ def unseen_target(model: ErrorModel, measured: Measurements) -> Iterator[Mistake
             empty &= (values == nothing).reshape(len(values), -1).all(axis=1)
         if empty.any() and not empty.all():
             what = "hold zeros" if len(channels) > 1 else f"hold zeros in {channels[0]}"
-            yield of_rows(f"{_poses(measured, empty)} {what}: the target was not seen there", measured, empty)
+            yield of_rows(f"{numbered(measured.pose[empty])} {what}: the target was not seen there", measured, empty)
             return
 
 
@@ -82,7 +81,7 @@ def repeated_rows(model: ErrorModel, measured: Measurements) -> Iterator[Mistake
     moved = (measured.readings[1:] != measured.readings[:-1]).any(axis=1)
     wrong = np.concatenate([[False], same & moved])
     if wrong.any():
-        yield of_rows(f"{_poses(measured, wrong)} repeat the measurement of the row before", measured, wrong)
+        yield of_rows(f"{numbered(measured.pose[wrong])} repeat the measurement of the row before", measured, wrong)
 
 
 def stuck_joints(model: ErrorModel, measured: Measurements) -> Iterator[Mistake]:
@@ -119,11 +118,6 @@ def _seen_to_move(measured: Measurements) -> np.ndarray:
 
 def _rows(k: int) -> str:
     return f"{abs(k)} row{'s' * (abs(k) > 1)} {'late' if k > 0 else 'early'}"
-
-
-def _poses(measured: Measurements, chosen: np.ndarray) -> str:
-    numbers = measured.pose[chosen]
-    return f"pose{'s' * (len(numbers) > 1)} {listed(numbers)}"
 
 
 def _runs(flags: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -11,9 +11,8 @@ from kincal.identification.channels import named
 from kincal.identification.error_model import ErrorModel, pose_residual
 from kincal.identification.measurements import Measurements
 from kincal.identification.mistakes.linear import LinearRobot
-from kincal.identification.mistakes.mistake import SOME_POSES, Mistake, of_rows
+from kincal.identification.mistakes.mistake import SOME_POSES, Mistake, numbered, of_rows
 from kincal.identification.mistakes.registered import Registered, drawn_closure, registered
-from kincal.urdf.description import listed
 
 _ROUNDS = 6  # of trimming
 _REWEIGHTED = 20  # times
@@ -26,9 +25,8 @@ def wrong_poses(model: ErrorModel, measured: Measurements) -> Iterator[Mistake]:
     """The poses beyond what the others show, all parameters fitted robustly."""
     wrong = _wrong(model, measured)
     if wrong.any() and wrong.mean() <= MOST:
-        numbers = measured.pose[wrong]
-        one = len(numbers) == 1
-        cause = f"pose{'s' * (not one)} {listed(numbers)} {'does' if one else 'do'} not fit the others"
+        do = "does" if wrong.sum() == 1 else "do"
+        cause = f"{numbered(measured.pose[wrong])} {do} not fit the others"
         yield of_rows(cause, measured, wrong, general=SOME_POSES)
 
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from kincal.identification.diagnosis import moved_far, registered
+from kincal.identification.diagnosis import moved_far, screened
 from kincal.identification.error_model import Parameters
 from kincal.identification.estimators import estimate_parameters, register
 from kincal.identification.measurements import default_channels, to_measurements, to_table
@@ -41,6 +41,12 @@ WORDS = {
     "stuck": "is it stuck",
 }
 LEGS = tuple(f"leg{i}_slide and leg{j}_slide are swapped" for i, j in ((1, 2), (1, 3), (2, 3)))
+
+
+def registered(model, measured, max_iterations: int):
+    """W and T of what passes the screening whole. Raises as both do."""
+    screened(model, measured, reject_outliers=False)
+    return register(model, measured, max_iterations)
 
 
 def table(loaded, channels, n: int, seed: int):
